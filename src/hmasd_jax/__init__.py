@@ -1,0 +1,1 @@
+"""HMASD and its baselines as jitted JAX training steps."""

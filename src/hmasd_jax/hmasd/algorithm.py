@@ -1,0 +1,172 @@
+"""HMASD: Algorithm 1 of the paper as one pure `update`."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int
+
+from envs_jax import Environment
+from hmasd_jax import rollout as rollouts
+from hmasd_jax import value_norm
+from hmasd_jax.hmasd.batches import flatten_segments, high_batch, low_batch, skill_pairs
+from hmasd_jax.hmasd.collect import Rollout, collect, make_policy
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.hmasd.coordinator import coordinator_loss
+from hmasd_jax.hmasd.discoverer import DiscovererMemory, discoverer_loss, init_memory
+from hmasd_jax.hmasd.discriminators import discriminator_loss, log_q_of_skills
+from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
+from hmasd_jax.hmasd.rewards import low_level_reward
+from hmasd_jax.sgd import gradient_step, sgd_epochs
+from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
+from hmasd_jax.value_norm import ValueNorm
+
+
+class HMASDState(NamedTuple):
+    """Everything that training goes on from."""
+
+    key: Key
+    num_updates: Int[Array, ""]
+    env: EnvCarry
+    memory: DiscovererMemory
+    coordinator: Learner
+    discoverer: Learner
+    discriminators: Learner
+    coordinator_norm: ValueNorm
+    discoverer_norm: ValueNorm
+
+
+def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
+    """Build HMASD for `env`.
+
+    Raises:
+        ValueError: settings that contradict each other (from `HMASDConfig`).
+    """
+    parts = make_parts(env, config)
+
+    def init(key: Key) -> HMASDState:
+        return init_state(parts, key)
+
+    def update(state: HMASDState) -> tuple[HMASDState, Metrics]:
+        return train_iteration(parts, state)
+
+    def policy(state: HMASDState, greedy: bool = True) -> Policy:
+        return make_policy(parts, state.coordinator.params, state.discoverer.params, greedy)
+
+    return Algorithm(init, update, policy)
+
+
+def init_state(parts: Parts, key: Key) -> HMASDState:
+    """Algorithm 1, "Initialize": fresh networks, and E copies at the start of an episode."""
+    key, key_learners, key_env = jax.random.split(key, 3)
+    ppo = parts.config.ppo
+    return HMASDState(
+        key,
+        jnp.int32(0),
+        rollouts.reset(parts.env, key_env, ppo.num_envs),
+        init_memory((ppo.num_envs,), parts.env.num_agents, ppo.hidden_size),
+        *init_learners(parts, key_learners),
+        ValueNorm.create(),
+        ValueNorm.create(),
+    )
+
+
+def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metrics]:
+    """One turn of Algorithm 1's outer loop: one rollout, then all three trainings.
+
+    The order is the authors': both returns, coordinator, discoverer, discriminators. Intrinsic
+    rewards come from the discriminators as they were during the rollout.
+    """
+    key, key_collect, key_high, key_low, key_discriminators = jax.random.split(state.key, 5)
+    rollout = collect(
+        parts,
+        state.coordinator.params,
+        state.discoverer.params,
+        state.env,
+        state.memory,
+        key_collect,
+    )
+    pairs = skill_pairs(parts, rollout)
+    log_q_team, log_q_individual, q_metrics = log_q_of_skills(
+        state.discriminators.params, parts.discriminators, pairs
+    )
+    team_reward = flatten_segments(rollout.transitions.outcome.reward)
+    reward = low_level_reward(team_reward, log_q_team, log_q_individual, parts.config)
+    high, segment_reward = high_batch(
+        parts, state.coordinator.params, state.coordinator_norm, rollout
+    )
+    low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
+
+    coordinator, coordinator_norm, high_metrics = _train_actor_critic(
+        parts.coordinator_optimizer, coordinator_loss, parts.coordinator,
+        state.coordinator, state.coordinator_norm, high, parts.config, key_high,
+    )  # fmt: skip
+    discoverer, discoverer_norm, low_metrics = _train_actor_critic(
+        parts.discoverer_optimizer, discoverer_loss, parts.discoverer,
+        state.discoverer, state.discoverer_norm, low, parts.config, key_low,
+    )  # fmt: skip
+    discriminators, d_metrics = _train_discriminators(
+        parts, state.discriminators, flatten_segments(pairs), key_discriminators
+    )
+    metrics = {
+        **episode_metrics(rollout),
+        "segment_reward": segment_reward.mean(),
+        "low_reward": reward.mean(),
+        **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
+        **{f"coordinator/{k}": v for k, v in high_metrics.items()},
+        **{f"discoverer/{k}": v for k, v in low_metrics.items()},
+    }
+    following = HMASDState(
+        key,
+        state.num_updates + 1,
+        rollout.env,
+        rollout.memory,
+        coordinator,
+        discoverer,
+        discriminators,
+        coordinator_norm,
+        discoverer_norm,
+    )
+    return following, metrics
+
+
+def _train_actor_critic(
+    optimizer, loss_fn, networks, learner: Learner, norm: ValueNorm, batch: Any,
+    config: HMASDConfig, key: Key,
+) -> tuple[Learner, ValueNorm, Metrics]:  # fmt: skip
+    """Epochs of PPO; each step first takes its targets into the value normalizer."""
+
+    def step(carry, minibatch):
+        learner, norm = carry
+        norm = value_norm.update(norm, minibatch.target)
+        learner, metrics = gradient_step(
+            learner, optimizer, loss_fn, networks, norm, minibatch, config
+        )
+        return (learner, norm), metrics
+
+    ppo = config.ppo
+    (learner, norm), metrics = sgd_epochs(
+        step, (learner, norm), batch, key, ppo.num_epochs, ppo.num_minibatches
+    )
+    return learner, norm, metrics
+
+
+def _train_discriminators(parts, learner, pairs, key) -> tuple[Learner, Metrics]:
+    """Epochs of Eq. 8 on the whole rollout."""
+
+    def step(learner, pairs):
+        return gradient_step(
+            learner, parts.discriminator_optimizer, discriminator_loss, parts.discriminators, pairs
+        )
+
+    return sgd_epochs(step, learner, pairs, key, parts.config.discriminator_epochs, 1)
+
+
+def episode_metrics(rollout: Rollout) -> Metrics:
+    """Number of episodes that ended in the rollout, and sums of their final `info`.
+
+    Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
+    """
+    outcome = flatten_segments(rollout.transitions.outcome)
+    ended = {f"episode_sum/{k}": jnp.where(outcome.done, v, 0).sum() for k, v in outcome.info.items()}
+    return {"episodes": outcome.done.sum().astype(jnp.float32), **ended}

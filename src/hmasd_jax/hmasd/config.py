@@ -1,0 +1,63 @@
+"""Settings of HMASD (paper Table 3, and what only the authors' code tells)."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from hmasd_jax.networks import ConditionAt
+from hmasd_jax.ppo import PPOConfig
+
+
+@dataclass(frozen=True)
+class HMASDConfig:
+    """HMASD on one task; the defaults are the paper's Alice_and_Bob."""
+
+    skill_interval: int = 50
+    """k, environment steps between two skill assignments."""
+    num_team_skills: int = 2
+    """n_Z, number of team skills."""
+    num_skills: int = 4
+    """n_z, number of individual skills."""
+    high_entropy_coef: float = 0.1
+    """lambda_h, weight of the coordinator's entropy in Eq. 6."""
+    low_entropy_coef: float = 0.01
+    """lambda_l, weight of the discoverer's entropy in Eq. 7."""
+    extrinsic_coef: float = 0.0
+    """lambda_e, weight of the team reward in Eq. 4."""
+    team_intrinsic_coef: float = 0.1
+    """lambda_D, weight of log q_D in Eq. 4."""
+    individual_intrinsic_coef: float = 0.2
+    """lambda_d, weight of log q_d in Eq. 4."""
+    skill_at: ConditionAt = "last_layer"
+    """Where skills enter actor and critic: beside the raw input, or at the last layer, where a
+    skill is an offset on the action logits. The authors use `last_layer` for Alice_and_Bob and
+    Overcooked, `input` for SMAC."""
+    discriminator_epochs: int = 15
+    """Gradient steps on the discriminators per rollout, each on all of it."""
+    num_blocks: int = 1
+    """Encoder blocks and decoder blocks of the coordinator."""
+    num_heads: int = 1
+    """Attention heads of the coordinator."""
+    discriminate: Literal["next", "outcome"] = "next"
+    """Which s_{t+1}, o_{t+1} the discriminators see at the end of an episode: `next`, what the
+    next step starts from, thus the new episode's first (the authors' code), or `outcome`, the
+    true last one."""
+    segment_end: Literal["interval", "episode"] = "interval"
+    """What ends a high-level step within k steps: `interval`, only the interval does, so it runs
+    on into a new episode (the authors' code), or `episode`, the first episode end does: later
+    rewards do not count, and nothing is bootstrapped."""
+    zero_reward_guard: bool = False
+    """Whether to drop the coordinator's policy term when all its rewards in a rollout are equal
+    (normalized advantages are then nothing but amplified noise)."""
+    skill_prior: bool = False
+    """Whether to subtract log p of a uniform prior from the intrinsic rewards, as Eq. 1 does and
+    Eqs. 3-4 do not. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+    """Optimization settings of both levels."""
+
+    def __post_init__(self) -> None:
+        ppo = self.ppo
+        for length, name in ((self.skill_interval, "skill_interval"),):
+            if ppo.rollout_length % length:
+                raise ValueError(
+                    f"ppo.rollout_length {ppo.rollout_length} is not a multiple of {name} {length}"
+                )

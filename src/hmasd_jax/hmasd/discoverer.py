@@ -1,0 +1,140 @@
+"""The skill discoverer: actor pi_l(a|o, z) and centralized critic V_l(s, Z) (Sec. 3.2, Eq. 7)."""
+
+from typing import NamedTuple
+
+import distrax
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax import Environment
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.networks import RecurrentNet, mask_logits
+from hmasd_jax.ppo import ppo_loss
+from hmasd_jax.transformer import SMALL_GAIN
+from hmasd_jax.types import Metrics
+from hmasd_jax.value_norm import ValueNorm, normalize
+
+
+class Discoverer(NamedTuple):
+    """The two networks; parameters are a dict with the same names."""
+
+    actor: RecurrentNet
+    critic: RecurrentNet
+
+
+class DiscovererMemory(NamedTuple):
+    """Recurrent memories: the actor's per agent, the critic's per environment copy."""
+
+    actor: Float[Array, "*batch N hidden"]
+    critic: Float[Array, "*batch hidden"]
+
+
+class LowBatch(NamedTuple):
+    """Sequences of L consecutive steps of one environment copy, sample axis first."""
+
+    memory: DiscovererMemory
+    """Memory before the first step, as it was when acting: (S, ...) without L."""
+    first: Bool[Array, "S L"]
+    obs: Float[Array, "S L N obs"]
+    state: Float[Array, "S L state"]
+    action_mask: Bool[Array, "S L N actions"]
+    skills: Int[Array, "S L tokens"]
+    """Z, then z^1..z^N."""
+    action: Int[Array, "S L N"]
+    log_prob: Float[Array, "S L N"]
+    value: Float[Array, "S L"]
+    advantage: Float[Array, "S L N"]
+    target: Float[Array, "S L N"]
+    """Returns in reward units."""
+
+
+def make_discoverer(env: Environment, config: HMASDConfig) -> Discoverer:
+    """Actor and critic for `env`; they share nothing."""
+    size = config.ppo.hidden_size
+    return Discoverer(
+        actor=RecurrentNet(env.num_actions, size, SMALL_GAIN, config.skill_at),
+        critic=RecurrentNet(1, size, 1.0, config.skill_at),
+    )
+
+
+def init_memory(batch_shape: tuple[int, ...], num_agents: int, size: int) -> DiscovererMemory:
+    """Memory before the first step."""
+    return DiscovererMemory(
+        jnp.zeros((*batch_shape, num_agents, size)), jnp.zeros((*batch_shape, size))
+    )
+
+
+def action_distribution(
+    network: RecurrentNet,
+    params: dict,
+    memory: Float[Array, "*batch N hidden"],
+    obs: Float[Array, "time *batch N obs"],
+    action_mask: Bool[Array, "time *batch N actions"],
+    skills: Int[Array, "time *batch N"],
+    first: Bool[Array, "time *batch"],
+    num_skills: int,
+) -> tuple[Float[Array, "*batch N hidden"], distrax.Categorical]:
+    """pi_l(a^i|o^i, z^i) at every step; an agent sees its own skill, not the team's."""
+    first = jnp.broadcast_to(first[..., None], skills.shape)
+    skills = jax.nn.one_hot(skills, num_skills)
+    memory, logits = network.apply(params, memory, obs, first, skills)
+    return memory, distrax.Categorical(logits=mask_logits(logits, action_mask))
+
+
+def state_value(
+    network: RecurrentNet,
+    params: dict,
+    memory: Float[Array, "*batch hidden"],
+    state: Float[Array, "time *batch state"],
+    team_skill: Int[Array, "time *batch"],
+    first: Bool[Array, "time *batch"],
+    num_team_skills: int,
+) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch"]]:
+    """V_l(s, Z) in normalized units, once per copy: its inputs are the same for all agents."""
+    team_skill = jax.nn.one_hot(team_skill, num_team_skills)
+    memory, value = network.apply(params, memory, state, first, team_skill)
+    return memory, value[..., 0]
+
+
+def discoverer_loss(
+    params: dict, networks: Discoverer, norm: ValueNorm, batch: LowBatch, config: HMASDConfig
+) -> tuple[Float[Array, ""], Metrics]:
+    """Eq. 7: L_l = sum_i L_PPO{pi_l(a^i|o^i, z^i), V_l(s, Z), r^i} - lambda_l sum_i E[H(pi_l)].
+
+    As in the authors' code the sums over agents are means. The one V_l(s, Z) is fitted to the
+    returns of all agents.
+    """
+    memory = batch.memory
+    # (S, L, ...) -> (L, S, ...): recurrent networks run over the first axis.
+    batch = jax.tree.map(lambda x: x.swapaxes(0, 1), batch._replace(memory=None))
+    _, distribution = action_distribution(
+        networks.actor,
+        params["actor"],
+        memory.actor,
+        batch.obs,
+        batch.action_mask,
+        batch.skills[..., 1:],
+        batch.first,
+        config.num_skills,
+    )
+    _, value = state_value(
+        networks.critic,
+        params["critic"],
+        memory.critic,
+        batch.state,
+        batch.skills[..., 0],
+        batch.first,
+        config.num_team_skills,
+    )
+    loss, metrics = ppo_loss(
+        distribution.log_prob(batch.action),
+        batch.log_prob,
+        batch.advantage,
+        value[..., None],
+        batch.value[..., None],
+        normalize(norm, batch.target),
+        config.ppo,
+    )
+    entropy = distribution.entropy().mean()
+    return loss - config.low_entropy_coef * entropy, metrics | {"entropy": entropy}

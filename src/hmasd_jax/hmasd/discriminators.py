@@ -1,0 +1,91 @@
+"""The skill discriminators q_D(Z|s) and q_d(z^i|o^i, Z) (Sec. 3.2, Eq. 8)."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jaxtyping import Array, Float, Int
+
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.networks import MLP, dense
+from hmasd_jax.transformer import SMALL_GAIN
+from hmasd_jax.types import Metrics
+
+
+class Classifier(nn.Module):
+    """MLP and linear head. The head's small gain makes it start out uniform."""
+
+    num_classes: int
+    hidden_size: int
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch classes"]:
+        """Log-probabilities of the classes."""
+        logits = dense(self.num_classes, SMALL_GAIN, name="head")(MLP(self.hidden_size)(x))
+        return jax.nn.log_softmax(logits)
+
+
+class Discriminators(NamedTuple):
+    """The two networks; parameters are a dict with the same names."""
+
+    team: Classifier
+    individual: Classifier
+
+
+class SkillPair(NamedTuple):
+    """D: what was reached under which skills."""
+
+    state: Float[Array, "*batch state"]
+    """s_{t+1}."""
+    obs: Float[Array, "*batch N obs"]
+    """o_{t+1}."""
+    skills: Int[Array, "*batch tokens"]
+    """Z, then z^1..z^N."""
+
+
+def make_discriminators(config: HMASDConfig) -> Discriminators:
+    """Feed-forward classifiers over team skills and individual skills."""
+    size = config.ppo.hidden_size
+    return Discriminators(
+        team=Classifier(config.num_team_skills, size),
+        individual=Classifier(config.num_skills, size),
+    )
+
+
+def log_q(
+    params: dict, networks: Discriminators, pair: SkillPair
+) -> tuple[Float[Array, "*batch team_skills"], Float[Array, "*batch N skills"]]:
+    """log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
+    team = networks.team.apply(params["team"], pair.state)
+    team_skill = jax.nn.one_hot(pair.skills[..., :1], networks.team.num_classes)
+    team_skill = jnp.broadcast_to(team_skill, (*pair.obs.shape[:-1], team_skill.shape[-1]))
+    inputs = jnp.concatenate([pair.obs, team_skill], axis=-1)
+    return team, networks.individual.apply(params["individual"], inputs)
+
+
+def log_q_of_skills(
+    params: dict, networks: Discriminators, pair: SkillPair
+) -> tuple[Float[Array, "*batch"], Float[Array, "*batch N"], Metrics]:
+    """log q_D(Z|s) and log q_d(z^i|o^i, Z) of the skills in use, and how often they rank first."""
+    team, individual = log_q(params, networks, pair)
+    Z, z = pair.skills[..., 0], pair.skills[..., 1:]  # noqa: N806 (the paper's symbols)
+    metrics = {
+        "team_accuracy": (team.argmax(-1) == Z).mean(),
+        "individual_accuracy": (individual.argmax(-1) == z).mean(),
+    }
+    team = jnp.take_along_axis(team, Z[..., None], -1)[..., 0]
+    individual = jnp.take_along_axis(individual, z[..., None], -1)[..., 0]
+    metrics |= {"log_q_team": team.mean(), "log_q_individual": individual.mean()}
+    return team, individual, metrics
+
+
+def discriminator_loss(
+    params: dict, networks: Discriminators, pair: SkillPair
+) -> tuple[Float[Array, ""], Metrics]:
+    """Eq. 8: L_d = -E[log q_D(Z|s)] - sum_i E[log q_d(z^i|o^i, Z)] over the current rollout.
+
+    As in the authors' code the sum over agents is a mean.
+    """
+    team, individual, _ = log_q_of_skills(params, networks, pair)
+    return -team.mean() - individual.mean(), {"team": -team.mean(), "individual": -individual.mean()}

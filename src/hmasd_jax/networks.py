@@ -1,0 +1,117 @@
+"""Building blocks with PyTorch's defaults: the networks of MAPPO (on-policy, `r_actor_critic`)."""
+
+from typing import Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from flax import linen as nn
+from jaxtyping import Array, Bool, Float
+
+ConditionAt = Literal["input", "last_layer"]
+
+RELU_GAIN = float(np.sqrt(2))
+MASKED_LOGIT = -1e10
+"""Logit of an illegal action: its probability is 0, and gradients stay finite."""
+
+
+def dense(features: int, gain: float, name: str | None = None, use_bias: bool = True) -> nn.Dense:
+    """Linear layer with orthogonal weights of the given gain and zero bias."""
+    init = nn.initializers.orthogonal(gain)
+    return nn.Dense(features, use_bias=use_bias, kernel_init=init, name=name)
+
+
+def layer_norm(name: str | None = None) -> nn.LayerNorm:
+    """LayerNorm with PyTorch's epsilon (flax's own default is 1e-6) and two-pass variance."""
+    return nn.LayerNorm(epsilon=1e-5, use_fast_variance=False, name=name)
+
+
+class MLP(nn.Module):
+    """LayerNorm on the input, then blocks of Linear, ReLU, LayerNorm (on-policy `mlp.py`)."""
+
+    hidden_size: int
+    num_layers: int = 2
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch hidden"]:
+        """Map features to hidden features."""
+        x = layer_norm()(x)
+        for _ in range(self.num_layers):
+            x = layer_norm()(nn.relu(dense(self.hidden_size, RELU_GAIN)(x)))
+        return x
+
+
+class GRU(nn.Module):
+    """PyTorch's GRU over time, whose memory is zeroed where an episode begins (`rnn.py`).
+
+    Gates r, z and candidate n from x and h:
+    h' = (1 - z) n + z h with n = tanh(W_n x + b_n + r (U_n h + c_n)).
+    """
+
+    hidden_size: int
+
+    @nn.compact
+    def __call__(
+        self,
+        memory: Float[Array, "*batch hidden"],
+        x: Float[Array, "time *batch hidden"],
+        first: Bool[Array, "time *batch"],
+    ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch hidden"]]:
+        """Return the last memory and the memory after every step."""
+        size = self.hidden_size
+        # Orthogonal as one stacked matrix, not gate by gate, as PyTorch's initializer does it.
+        orthogonal = nn.initializers.orthogonal(1.0)
+        gates = nn.Dense(3 * size, kernel_init=orthogonal, name="input")(x)
+        kernel = self.param("kernel", orthogonal, (size, 3 * size))
+        bias = self.param("bias", nn.initializers.zeros_init(), (3 * size,))
+
+        def step(h, inputs):
+            gate, first = inputs
+            h = jnp.where(first[..., None], 0.0, h)
+            gate_r, gate_z, gate_n = jnp.split(gate, 3, axis=-1)
+            hidden_r, hidden_z, hidden_n = jnp.split(h @ kernel + bias, 3, axis=-1)
+            r, z = jax.nn.sigmoid(gate_r + hidden_r), jax.nn.sigmoid(gate_z + hidden_z)
+            h = (1.0 - z) * jnp.tanh(gate_n + r * hidden_n) + z * h
+            return h, h
+
+        # Unrolling a training sequence (10 steps) makes its gradient nearly twice as fast on CPU.
+        return jax.lax.scan(step, memory, (gates, first), unroll=min(len(x), 10))
+
+
+class RecurrentNet(nn.Module):
+    """MLP, GRU, LayerNorm, linear head: actor and critic of MAPPO, and of HMASD's discoverer.
+
+    The optional condition (a one-hot skill) joins either the raw input or the features that go
+    into the head. In the latter case it is a constant offset on the outputs: the authors'
+    `skill_last_layer`, which the paper does not mention.
+    """
+
+    num_outputs: int
+    hidden_size: int
+    gain: float
+    condition_at: ConditionAt = "input"
+
+    @nn.compact
+    def __call__(
+        self,
+        memory: Float[Array, "*batch hidden"],
+        x: Float[Array, "time *batch inputs"],
+        first: Bool[Array, "time *batch"],
+        condition: Float[Array, "time *batch skills"] | None = None,
+    ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
+        """Run over `time` steps; returns the last memory and the outputs of every step."""
+        if condition is not None and self.condition_at == "input":
+            x = jnp.concatenate([x, condition], axis=-1)
+        x = MLP(self.hidden_size)(x)
+        memory, x = GRU(self.hidden_size)(memory, x, first)
+        x = layer_norm()(x)
+        if condition is not None and self.condition_at == "last_layer":
+            x = jnp.concatenate([x, condition], axis=-1)
+        return memory, dense(self.num_outputs, self.gain, name="head")(x)
+
+
+def mask_logits(
+    logits: Float[Array, "*batch actions"], mask: Bool[Array, "*batch actions"]
+) -> Float[Array, "*batch actions"]:
+    """Make illegal actions impossible."""
+    return jnp.where(mask, logits, MASKED_LOGIT)

@@ -1,0 +1,108 @@
+"""The PPO objective, Eq. 5, and its settings (Table 1)."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from hmasd_jax.types import Metrics
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    """Settings shared by all on-policy algorithms (paper Tables 1 and 2)."""
+
+    num_envs: int = 32
+    """E, environment copies per seed ("rollout threads")."""
+    rollout_length: int = 100
+    """T, environment steps per copy between two updates ("episode length" of Table 2)."""
+    learning_rate: float = 5e-4
+    """Adam's step size, for every network."""
+    adam_epsilon: float = 1e-5
+    """Added to the denominator of Adam."""
+    max_grad_norm: float = 10.0
+    """Each network's gradient is scaled down to this norm."""
+    num_epochs: int = 15
+    """Passes over each rollout."""
+    num_minibatches: int = 1
+    """Gradient steps per pass."""
+    clip_epsilon: float = 0.2
+    """Clip range of the ratio, and of the value's change in normalized units."""
+    value_coef: float = 1.0
+    """Weight of the value loss (lambda_c)."""
+    huber_delta: float = 10.0
+    """Where the value loss turns from quadratic to linear, in normalized units."""
+    discount: float = 0.99
+    """gamma: per environment step for the low level, per segment for the high level."""
+    gae_lambda: float = 0.95
+    """lambda of GAE, at both levels."""
+    bootstrap_truncation: bool = False
+    """Whether an episode cut by its time limit is bootstrapped from its last state. The paper's
+    code base counts time limits as terminal."""
+    hidden_size: int = 64
+    """Width of every layer and of the recurrent memory."""
+    sequence_length: int = 10
+    """Steps of backpropagation through time; rollouts are cut into sequences this long."""
+
+
+def policy_loss(
+    log_prob: Float[Array, "*batch"],
+    old_log_prob: Float[Array, "*batch"],
+    advantage: Float[Array, "*batch"],
+    clip_epsilon: float,
+) -> Float[Array, ""]:
+    """Eq. 5: L(theta) = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)], rho = pi / pi_old."""
+    ratio = jnp.exp(log_prob - old_log_prob)
+    clipped = jnp.clip(ratio, 1.0 - clip_epsilon, 1.0 + clip_epsilon)
+    return -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+
+
+def value_loss(
+    value: Float[Array, "*batch"],
+    old_value: Float[Array, "*batch"],
+    target: Float[Array, "*batch"],
+    clip_epsilon: float,
+    huber_delta: float,
+) -> Float[Array, ""]:
+    """Eq. 5: L(phi) = E[max{h(V - R), h(V_old + clip(V - V_old, -eps, eps) - R)}].
+
+    h is the Huber loss (Table 1), e^2/2 near 0. All inputs are in normalized units and broadcast
+    against each other; the mean is over all axes.
+    """
+    clipped = old_value + jnp.clip(value - old_value, -clip_epsilon, clip_epsilon)
+    losses = [optax.losses.huber_loss(v, target, delta=huber_delta) for v in (value, clipped)]
+    return jnp.maximum(*losses).mean()
+
+
+def ppo_loss(
+    log_prob: Float[Array, "*batch"],
+    old_log_prob: Float[Array, "*batch"],
+    advantage: Float[Array, "*batch"],
+    value: Float[Array, "*values"],
+    old_value: Float[Array, "*values"],
+    target: Float[Array, "*targets"],
+    config: PPOConfig,
+) -> tuple[Float[Array, ""], Metrics]:
+    """Eq. 5: L_PPO = L(theta) + lambda_c L(phi).
+
+    Args:
+        log_prob, old_log_prob: of the taken actions, under the new and the acting policy.
+        advantage: normalized advantages.
+        value, old_value, target: in normalized units; they broadcast against each other.
+        config: clip range, value coefficient and Huber threshold.
+
+    Returns:
+        The loss, and its parts with the usual diagnostics (means over all axes).
+    """
+    actor = policy_loss(log_prob, old_log_prob, advantage, config.clip_epsilon)
+    critic = value_loss(value, old_value, target, config.clip_epsilon, config.huber_delta)
+    ratio = jnp.exp(log_prob - old_log_prob)
+    metrics = {
+        "policy_loss": actor,
+        "value_loss": critic,
+        "ratio_error": abs(ratio - 1.0).max(),
+        "clip_fraction": (abs(ratio - 1.0) > config.clip_epsilon).mean(),
+        "approx_kl": (ratio - 1.0 - (log_prob - old_log_prob)).mean(),
+    }
+    return actor + config.value_coef * critic, metrics

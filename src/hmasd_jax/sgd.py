@@ -1,0 +1,78 @@
+"""Optimization: one gradient step, and epochs of shuffled minibatches."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float
+
+from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.types import Key, Learner, Metrics
+
+Carry = TypeVar("Carry")
+Batch = TypeVar("Batch")
+LossFn = Callable[..., tuple[Float[Array, ""], Metrics]]
+
+
+def make_optimizer(config: PPOConfig, networks: Sequence[str]) -> optax.GradientTransformation:
+    """Adam after clipping each network's gradient by its own norm.
+
+    Args:
+        config: learning rate, Adam's epsilon and the norm to clip at.
+        networks: top-level names in the parameters; each is clipped apart from the others.
+    """
+    clip = {name: optax.clip_by_global_norm(config.max_grad_norm) for name in networks}
+    return optax.chain(
+        optax.partition(clip, {name: name for name in networks}),
+        optax.adam(config.learning_rate, eps=config.adam_epsilon),
+    )
+
+
+def gradient_step(
+    learner: Learner, optimizer: optax.GradientTransformation, loss_fn: LossFn, *args: Any
+) -> tuple[Learner, Metrics]:
+    """One step down the gradient of `loss_fn(params, *args) -> (loss, metrics)`."""
+    grads, metrics = jax.grad(loss_fn, has_aux=True)(learner.params, *args)
+    updates, opt_state = optimizer.update(grads, learner.opt_state, learner.params)
+    metrics = metrics | {"grad_norm": optax.global_norm(grads)}
+    return Learner(optax.apply_updates(learner.params, updates), opt_state), metrics
+
+
+def sgd_epochs(
+    step: Callable[[Carry, Batch], tuple[Carry, Metrics]],
+    carry: Carry,
+    batch: Batch,
+    key: Key,
+    num_epochs: int,
+    num_minibatches: int,
+) -> tuple[Carry, Metrics]:
+    """Run `step` on every minibatch, `num_epochs` times over.
+
+    Args:
+        step: `(carry, minibatch) -> (carry, metrics)`.
+        carry: what learns, e.g. a `Learner`.
+        batch: arrays with samples on their first axis, a multiple of `num_minibatches`.
+        key: shuffles the samples anew in each epoch (with one minibatch, order has no effect
+            on a mean, so nothing is shuffled).
+        num_epochs: passes over the batch.
+        num_minibatches: steps per pass.
+
+    Returns:
+        The final carry, and the metrics averaged over all steps.
+    """
+    size = jax.tree.leaves(batch)[0].shape[0]
+
+    def shuffle(key: Key) -> Batch:
+        order = jax.random.permutation(key, size).reshape(num_minibatches, -1)
+        return jax.tree.map(lambda x: x[order], batch)
+
+    def epoch(carry: Carry, key: Key) -> tuple[Carry, Metrics]:
+        if num_minibatches == 1:
+            return step(carry, batch)
+        carry, metrics = jax.lax.scan(step, carry, shuffle(key))
+        return carry, jax.tree.map(jnp.mean, metrics)
+
+    carry, metrics = jax.lax.scan(epoch, carry, jax.random.split(key, num_epochs))
+    return carry, jax.tree.map(jnp.mean, metrics)
