@@ -14,7 +14,7 @@ def gae(
     discount: float,
     gae_lambda: float,
 ) -> tuple[Float[Array, "T *batch"], Float[Array, "T *batch"]]:
-    """Advantages Â and targets R̂ = Â + V, by backward recursion:
+    """Advantages Â and targets R̂ = Â + V, by backward recursion.
 
         δ_t = r_t + γ V'_t (1 - terminated_t) - V_t
         Â_t = δ_t + γ λ (1 - done_t) Â_{t+1}

@@ -87,9 +87,12 @@ def ppo_loss(
     """Eq. 5: L_PPO = L(theta) + lambda_c L(phi).
 
     Args:
-        log_prob, old_log_prob: of the taken actions, under the new and the acting policy.
+        log_prob: of the taken actions under the policy that learns.
+        old_log_prob: the same under the policy that acted.
         advantage: normalized advantages.
-        value, old_value, target: in normalized units; they broadcast against each other.
+        value: of the critic that learns, in normalized units.
+        old_value: of the critic when acting, in normalized units.
+        target: returns in normalized units; the three broadcast against each other.
         config: clip range, value coefficient and Huber threshold.
 
     Returns:

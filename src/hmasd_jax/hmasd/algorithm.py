@@ -168,5 +168,6 @@ def episode_metrics(rollout: Rollout) -> Metrics:
     Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
     """
     outcome = flatten_segments(rollout.transitions.outcome)
-    ended = {f"episode_sum/{k}": jnp.where(outcome.done, v, 0).sum() for k, v in outcome.info.items()}
-    return {"episodes": outcome.done.sum().astype(jnp.float32), **ended}
+    final = {k: jnp.where(outcome.done, v, 0.0).sum() for k, v in outcome.info.items()}
+    sums = {f"episode_sum/{k}": v for k, v in final.items()}
+    return {"episodes": outcome.done.sum().astype(jnp.float32), **sums}

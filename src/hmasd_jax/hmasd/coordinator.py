@@ -160,7 +160,9 @@ def assign(
 def coordinator_loss(
     params: dict, network: Coordinator, norm: ValueNorm, batch: HighBatch, config: HMASDConfig
 ) -> tuple[Float[Array, ""], Metrics]:
-    """Eq. 6: L_h = L_PPO{pi_h(Z|..), V_h(s)} + sum_i L_PPO{pi_h(z^i|.., Z, z^{<i}), V_h(o^i)} - lambda_h H.
+    """Eq. 6: L_h = L_PPO{pi_h(Z), V_h(s)} + sum_i L_PPO{pi_h(z^i), V_h(o^i)} - lambda_h H.
+
+    pi_h(Z|s, o) and pi_h(z^i|s, o, Z, z^{<i}) are both rewarded with r^h; H sums their entropies.
 
     Every token has its own ratio, clip, advantage and value. As in the authors' code the sum over
     tokens is a mean (equal weights either way).

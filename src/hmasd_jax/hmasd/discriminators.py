@@ -56,7 +56,7 @@ def make_discriminators(config: HMASDConfig) -> Discriminators:
 def log_q(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch team_skills"], Float[Array, "*batch N skills"]]:
-    """log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
+    """Log-probabilities log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
     team = networks.team.apply(params["team"], pair.state)
     team_skill = jax.nn.one_hot(pair.skills[..., :1], networks.team.num_classes)
     team_skill = jnp.broadcast_to(team_skill, (*pair.obs.shape[:-1], team_skill.shape[-1]))
@@ -67,7 +67,7 @@ def log_q(
 def log_q_of_skills(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch N"], Metrics]:
-    """log q_D(Z|s) and log q_d(z^i|o^i, Z) of the skills in use, and how often they rank first."""
+    """Values of log q_D(Z|s), log q_d(z^i|o^i, Z) for the skills in use; how often they lead."""
     team, individual = log_q(params, networks, pair)
     Z, z = pair.skills[..., 0], pair.skills[..., 1:]  # noqa: N806 (the paper's symbols)
     metrics = {
@@ -88,4 +88,5 @@ def discriminator_loss(
     As in the authors' code the sum over agents is a mean.
     """
     team, individual, _ = log_q_of_skills(params, networks, pair)
-    return -team.mean() - individual.mean(), {"team": -team.mean(), "individual": -individual.mean()}
+    metrics = {"team_loss": -team.mean(), "individual_loss": -individual.mean()}
+    return metrics["team_loss"] + metrics["individual_loss"], metrics

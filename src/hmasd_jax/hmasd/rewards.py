@@ -12,7 +12,9 @@ def low_level_reward(
     log_q_individual: Float[Array, "*batch N"],
     config: HMASDConfig,
 ) -> Float[Array, "*batch N"]:
-    """Eq. 4: r_t^i = lambda_e r_t + lambda_D log q_D(Z|s_{t+1}) + lambda_d log q_d(z^i|o_{t+1}^i, Z).
+    """Eq. 4: r^i = lambda_e r + lambda_D log q_D(Z|s') + lambda_d log q_d(z^i|o^i', Z).
+
+    s' and o' are what step t led to, s_{t+1} and o_{t+1}.
 
     Args:
         reward: team reward r_t.
