@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from hmasd_jax.settings import check_divides, check_multiple, check_range
 from hmasd_jax.types import Metrics
 
 
@@ -44,6 +45,19 @@ class PPOConfig:
     """Width of every layer and of the recurrent memory."""
     sequence_length: int = 10
     """Steps of backpropagation through time; rollouts are cut into sequences this long."""
+
+    def __post_init__(self) -> None:
+        counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches", "hidden_size")
+        check_range(self, *counts, "sequence_length", low=1)
+        check_range(self, "learning_rate", "adam_epsilon", "max_grad_norm", "clip_epsilon", low=0)
+        check_range(self, "value_coef", "huber_delta", low=0)
+        check_range(self, "discount", "gae_lambda", low=0, high=1)
+        check_multiple(
+            "rollout_length", self.rollout_length, "sequence_length", self.sequence_length
+        )
+        sequences = self.num_envs * (self.rollout_length // self.sequence_length)
+        sequences_name = "num_envs x rollout_length / sequence_length"
+        check_divides("num_minibatches", self.num_minibatches, sequences_name, sequences)
 
 
 def policy_loss(

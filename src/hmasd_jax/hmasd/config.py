@@ -5,6 +5,7 @@ from typing import Literal
 
 from hmasd_jax.networks import ConditionAt
 from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.settings import check_divides, check_multiple, check_range
 
 
 @dataclass(frozen=True)
@@ -56,8 +57,15 @@ class HMASDConfig:
 
     def __post_init__(self) -> None:
         ppo = self.ppo
-        for length, name in ((self.skill_interval, "skill_interval"),):
-            if ppo.rollout_length % length:
-                raise ValueError(
-                    f"ppo.rollout_length {ppo.rollout_length} is not a multiple of {name} {length}"
-                )
+        check_range(self, "skill_interval", "num_team_skills", "num_skills", low=1)
+        check_range(self, "discriminator_epochs", "num_blocks", "num_heads", low=1)
+        check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
+        check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
+        check_multiple(
+            "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
+        )
+        check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
+        # The coordinator's samples are segments, fewer than the sequences of the low level.
+        segments = ppo.num_envs * (ppo.rollout_length // self.skill_interval)
+        segments_name = "ppo.num_envs x ppo.rollout_length / skill_interval"
+        check_divides("ppo.num_minibatches", ppo.num_minibatches, segments_name, segments)

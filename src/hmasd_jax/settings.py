@@ -1,0 +1,167 @@
+"""Frozen dataclasses from tables of plain values, with every mistake told in one line.
+
+Standard library only, so that the settings of an algorithm can be checked before jax is imported.
+"""
+
+import dataclasses
+import difflib
+import math
+import tomllib
+import types
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+T = TypeVar("T")
+NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+
+
+class ConfigError(ValueError):
+    """A setting is not usable; the message is one line naming field, value and remedy."""
+
+
+class Text(str):
+    """A value as typed on a command line: read as whatever type its field has."""
+
+    __slots__ = ()
+
+
+def check_range(settings: Any, *names: str, low: float = -math.inf, high: float = math.inf) -> None:
+    """Insist that the named fields are finite and in [low, high]; for use in `__post_init__`.
+
+    Raises:
+        ValueError: with a message that begins with the field's name.
+    """
+    for name in names:
+        value = getattr(settings, name)
+        if math.isfinite(value) and low <= value <= high:
+            continue
+        if math.isfinite(low) and math.isfinite(high):
+            wanted = f"between {low} and {high}"
+        else:
+            wanted = f"at least {low}" if math.isfinite(low) else "finite"
+        raise ValueError(f"{name} must be {wanted}, got {value}")
+
+
+def check_multiple(name: str, value: int, of_name: str, of: int) -> None:
+    """Insist that `value` is a whole multiple of `of`; for use in `__post_init__`.
+
+    Raises:
+        ValueError: with a message that begins with `name` and proposes the nearest multiples.
+    """
+    if value % of:
+        down, up = value // of * of, (value // of + 1) * of
+        near = f"{down} or {up}" if down else f"{up}"
+        raise ValueError(f"{name} {value} is not a multiple of {of_name} {of}: try {near}")
+
+
+def check_divides(name: str, value: int, of_name: str, of: int) -> None:
+    """Insist that `value` divides `of`; for use in `__post_init__`.
+
+    Raises:
+        ValueError: with a message that begins with `name` and proposes the nearest divisor.
+    """
+    if of % value:
+        near = min((d for d in range(1, of + 1) if of % d == 0), key=lambda d: abs(d - value))
+        raise ValueError(f"{name} {value} does not divide {of_name} = {of}: try {near}")
+
+
+def from_table(cls: type[T], table: Any, path: str = "") -> T:
+    """Build dataclass `cls` from nested plain values.
+
+    Args:
+        cls: a dataclass; fields may be dataclasses themselves.
+        table: values by field name; what is not given keeps its default.
+        path: where `table` stands, for messages, e.g. `algorithm.ppo`.
+
+    Raises:
+        ConfigError: unknown key, wrong type, or a value that `cls` refuses.
+    """
+    if not isinstance(table, Mapping):
+        raise ConfigError(f"{path} must be a table of settings, got {table!r}")
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    hints = get_type_hints(cls)
+    for key in table:
+        if key not in fields:
+            raise ConfigError(f"unknown key {_join(path, key)}{suggest(key, fields)}")
+    for name, field in fields.items():
+        required = field.default is field.default_factory is dataclasses.MISSING
+        if required and name not in table:
+            raise ConfigError(f"{_join(path, name)} is missing: it has no default")
+    values = {key: convert(value, hints[key], _join(path, key)) for key, value in table.items()}
+    try:
+        return cls(**values)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError(_join(path, str(error))) from error
+
+
+def convert(value: Any, annotation: Any, path: str) -> Any:
+    """Check `value` against a field's type; whole floats pass as int, lists as tuples.
+
+    Raises:
+        ConfigError: `value` is of another type.
+    """
+    if annotation is Any or isinstance(annotation, TypeVar):
+        return value
+    if dataclasses.is_dataclass(annotation):
+        return from_table(annotation, value, path)
+    origin, options = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        plain = str(value) if isinstance(value, Text) else value
+        if plain not in options:
+            known = ", ".join(map(str, options))
+            raise ConfigError(
+                f"{path} must be one of {known}; got {plain!r}{suggest(plain, options)}"
+            )
+        return plain
+    if origin in (Union, types.UnionType):
+        return _convert_union(value, options, path)
+    value = _parse(value) if annotation is not str else value
+    if origin is tuple and isinstance(value, list | tuple):
+        return tuple(convert(item, options[0], path) for item in value)
+    if annotation is float and type(value) is int:
+        return float(value)
+    if annotation is int and type(value) is float and value.is_integer():
+        return int(value)
+    if annotation is str and isinstance(value, str):
+        return str(value)
+    if type(value) is annotation:
+        return value
+    raise ConfigError(f"{path} must be {NAMES.get(annotation, annotation)}, got {value!r}")
+
+
+def _convert_union(value: Any, options: tuple, path: str) -> Any:
+    """The first type that takes `value`; `none` is written for None."""
+    if (value is None or str(value).lower() == "none") and type(None) in options:
+        return None
+    options = tuple(option for option in options if option is not type(None))
+    for option in options[:-1]:
+        try:
+            return convert(value, option, path)
+        except ConfigError:
+            continue
+    return convert(value, options[-1], path)
+
+
+def _parse(value: Any) -> Any:
+    """The number, truth value or list that a `Text` spells, else the text."""
+    if not isinstance(value, Text):
+        return value
+    text = value.lower() if value.lower() in ("true", "false") else value
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return str(value)
+
+
+def suggest(word: Any, known: Iterable[Any]) -> str:
+    """A hint at the known word that was probably meant, or at all of them."""
+    known = [str(k) for k in known]
+    begins = [k for k in known if k.startswith(str(word))]
+    close = begins or difflib.get_close_matches(str(word), known, n=1, cutoff=0.6)
+    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"
+
+
+def _join(path: str, name: str) -> str:
+    return f"{path}.{name}" if path else name
