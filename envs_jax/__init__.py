@@ -1,6 +1,6 @@
 """Multi-agent environments as pure JAX functions. Imports nothing of `hmasd_jax`."""
 
-from envs_jax.registry import make, names
+from envs_jax.registry import make, names, register
 from envs_jax.types import Environment, EnvState, TimeStep
 
-__all__ = ["EnvState", "Environment", "TimeStep", "make", "names"]
+__all__ = ["EnvState", "Environment", "TimeStep", "make", "names", "register"]
