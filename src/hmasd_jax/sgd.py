@@ -36,7 +36,7 @@ def gradient_step(
     """One step down the gradient of `loss_fn(params, *args) -> (loss, metrics)`."""
     grads, metrics = jax.grad(loss_fn, has_aux=True)(learner.params, *args)
     updates, opt_state = optimizer.update(grads, learner.opt_state, learner.params)
-    metrics = metrics | {"grad_norm": optax.global_norm(grads)}
+    metrics = metrics | {"grad_norm": optax.tree.norm(grads)}
     return Learner(optax.apply_updates(learner.params, updates), opt_state), metrics
 
 
