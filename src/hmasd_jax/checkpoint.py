@@ -152,7 +152,7 @@ def _read(folder: Path, step: int, template: State, config: dict) -> State:
         _check_structure(path, content["leaves"], _describe(template))
         like = {"bytes": np.empty(content["size"], np.uint8)}
         items = ocp.args.Composite(state=ocp.args.StandardRestore(like))
-        data = manager.restore(step, args=items).state["bytes"].tobytes()
+        data = manager.restore(step, args=items)["state"]["bytes"].tobytes()
     if zlib.crc32(data) != content["checksum"]:
         raise ValueError("the checksum differs")
     return _from_bytes(data, template)
@@ -162,7 +162,7 @@ def _read_json(manager: ocp.CheckpointManager, step: int) -> tuple[dict, dict]:
     """What was saved beside the state: configuration and content."""
     args = ocp.args.Composite(config=ocp.args.JsonRestore(), content=ocp.args.JsonRestore())
     items = manager.restore(step, args=args)
-    return items.config, items.content
+    return items["config"], items["content"]
 
 
 def _holds(folder: Path, step: int, content: dict, config: dict) -> bool:
@@ -231,8 +231,8 @@ def _manager(folder: Path, **options: Any) -> Iterator[ocp.CheckpointManager]:
     Made anew for every call (a millisecond), so that nothing is cached and nothing is left open
     when a run is killed.
     """
-    options = ocp.CheckpointManagerOptions(enable_async_checkpointing=False, **options)
-    with ocp.CheckpointManager(Path(folder).absolute(), options=options) as manager:
+    settings = ocp.CheckpointManagerOptions(enable_async_checkpointing=False, **options)
+    with ocp.CheckpointManager(Path(folder).absolute(), options=settings) as manager:
         yield manager
 
 
