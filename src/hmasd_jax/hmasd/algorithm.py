@@ -9,11 +9,17 @@ from jaxtyping import Array, Int
 from envs_jax import Environment
 from hmasd_jax import rollout as rollouts
 from hmasd_jax import value_norm
-from hmasd_jax.hmasd.batches import flatten_segments, high_batch, low_batch, skill_pairs
-from hmasd_jax.hmasd.collect import Rollout, collect, make_policy
+from hmasd_jax.hmasd.batches import flatten, high_batch, low_batch, skill_pairs
+from hmasd_jax.hmasd.collect import (
+    Rollout,
+    RolloutMemory,
+    collect,
+    init_rollout_memory,
+    make_policy,
+)
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import coordinator_loss
-from hmasd_jax.hmasd.discoverer import DiscovererMemory, discoverer_loss, init_memory
+from hmasd_jax.hmasd.discoverer import discoverer_loss
 from hmasd_jax.hmasd.discriminators import discriminator_loss, log_q_of_skills
 from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.rewards import low_level_reward
@@ -28,7 +34,7 @@ class HMASDState(NamedTuple):
     key: Key
     num_updates: Int[Array, ""]
     env: EnvCarry
-    memory: DiscovererMemory
+    memory: RolloutMemory
     coordinator: Learner
     discoverer: Learner
     discriminators: Learner
@@ -64,7 +70,7 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
         key,
         jnp.int32(0),
         rollouts.reset(parts.env, key_env, ppo.num_envs),
-        init_memory((ppo.num_envs,), parts.env.num_agents, ppo.hidden_size),
+        init_rollout_memory(ppo.num_envs, parts.env.num_agents, ppo.hidden_size),
         *init_learners(parts, key_learners),
         ValueNorm.create(),
         ValueNorm.create(),
@@ -77,7 +83,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     The order is the authors': both returns, coordinator, discoverer, discriminators. Intrinsic
     rewards come from the discriminators as they were during the rollout.
     """
-    key, key_collect, key_high, key_low, key_discriminators = jax.random.split(state.key, 5)
+    key, key_collect, key_choose, key_high, key_low, key_pairs = jax.random.split(state.key, 6)
     rollout = collect(
         parts,
         state.coordinator.params,
@@ -90,11 +96,9 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )
-    team_reward = flatten_segments(rollout.transitions.outcome.reward)
+    team_reward = rollout.transitions.outcome.reward
     reward = low_level_reward(team_reward, log_q_team, log_q_individual, parts.config)
-    high, segment_reward = high_batch(
-        parts, state.coordinator.params, state.coordinator_norm, rollout
-    )
+    high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = _train_actor_critic(
@@ -106,11 +110,11 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         state.discoverer, state.discoverer_norm, low, parts.config, key_low,
     )  # fmt: skip
     discriminators, d_metrics = _train_discriminators(
-        parts, state.discriminators, flatten_segments(pairs), key_discriminators
+        parts, state.discriminators, flatten(pairs), key_pairs
     )
     metrics = {
         **episode_metrics(rollout),
-        "segment_reward": segment_reward.mean(),
+        "team_reward": team_reward.mean(),
         "low_reward": reward.mean(),
         **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
         **{f"coordinator/{k}": v for k, v in high_metrics.items()},
@@ -167,7 +171,7 @@ def episode_metrics(rollout: Rollout) -> Metrics:
 
     Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
     """
-    outcome = flatten_segments(rollout.transitions.outcome)
+    outcome = rollout.transitions.outcome
     final = {k: jnp.where(outcome.done, v, 0.0).sum() for k, v in outcome.info.items()}
     sums = {f"episode_sum/{k}": v for k, v in final.items()}
     return {"episodes": outcome.done.sum().astype(jnp.float32), **sums}

@@ -1,23 +1,42 @@
 """From a rollout to what the three losses take: rewards, advantages, targets, sequences."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.gae import gae, normalize_advantage
 from hmasd_jax.hmasd.collect import Rollout
-from hmasd_jax.hmasd.coordinator import HighBatch
-from hmasd_jax.hmasd.discoverer import LowBatch, state_value
+from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
+from hmasd_jax.hmasd.discoverer import DiscovererMemory, LowBatch, state_value
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.hmasd.rewards import high_level_reward
-from hmasd_jax.types import Transition
+from hmasd_jax.types import Key
 from hmasd_jax.value_norm import ValueNorm, denormalize
 
 
-def flatten_segments(tree, num_axes: int = 2):
-    """Merge the first axes, (M, k, ...) -> (T, ...) or (T, E, ...) -> (T E, ...)."""
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[num_axes:]), tree)
+class Segments(NamedTuple):
+    """What the coordinator did and got at every step (T, E, ...); it counts where `begins`."""
+
+    state: Float[Array, "T E state"]
+    obs: Float[Array, "T E N obs"]
+    assignment: Assignment
+    reward: Float[Array, "T E"]
+    """r^h, the sum over the segment."""
+    next_value: Float[Array, "T E tokens"]
+    """V_h where the segment leads to, in normalized units."""
+    terminated: Bool[Array, "T E"]
+    """Whether nothing is to be bootstrapped there."""
+    done: Bool[Array, "T E"]
+    """Whether an episode ended with the segment's last step."""
+    begins: Bool[Array, "T E"]
+
+
+def flatten(tree):
+    """Merge the first two axes, (T, E, ...) -> (T E, ...)."""
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), tree)
 
 
 def _and_after(x: Array, last: Array) -> Array:
@@ -27,48 +46,86 @@ def _and_after(x: Array, last: Array) -> Array:
 
 def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
     """D of Algorithm 1: (s_{t+1}, Z, o_{t+1}, z^{1:n}) of every step, (T, E, ...)."""
-    transitions = flatten_segments(rollout.transitions)
+    transitions, last = rollout.transitions, rollout.env.timestep
+    skills = transitions.extras.assignment.skills
     if parts.config.discriminate == "outcome":
-        state, obs = transitions.outcome.state, transitions.outcome.obs
-    else:
-        state = _and_after(transitions.timestep.state, rollout.env.timestep.state)
-        obs = _and_after(transitions.timestep.obs, rollout.env.timestep.obs)
-    return SkillPair(state, obs, _skills_per_step(parts, rollout))
+        return SkillPair(transitions.outcome.state, transitions.outcome.obs, skills)
+    state = _and_after(transitions.timestep.state, last.state)
+    return SkillPair(state, _and_after(transitions.timestep.obs, last.obs), skills)
+
+
+def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
+    """Cut the rollout where skills were renewed; its end cuts the last segment, too."""
+    transitions = rollout.transitions
+    outcome, extras = transitions.outcome, transitions.extras
+    last = _and_after(extras.renewed, jnp.ones_like(extras.renewed[0]))
+    steps = jnp.where(last, jnp.arange(len(last))[:, None], len(last))
+    end = jax.lax.cummin(steps, reverse=True)  # of the segment each step belongs to
+    next_value = _and_after(extras.assignment.value, rollout.next_assignment.value)
+    terminated = outcome.done
+    if parts.config.ppo.bootstrap_truncation:
+        _, value = parts.coordinator.apply(params, outcome.state, outcome.obs, method="encode")
+        next_value = jnp.where(outcome.truncated[..., None], value, next_value)
+        terminated = outcome.terminated
+    return Segments(
+        state=transitions.timestep.state,
+        obs=transitions.timestep.obs,
+        assignment=extras.assignment,
+        reward=high_level_reward(outcome.reward, last),
+        next_value=jnp.take_along_axis(next_value, end[..., None], axis=0),
+        terminated=jnp.take_along_axis(terminated, end, axis=0),
+        done=jnp.take_along_axis(outcome.done, end, axis=0),
+        begins=extras.renewed,
+    )
+
+
+def _in_front(segments: Segments) -> Segments:
+    """Along time, move the beginnings of segments to the front, in order."""
+    order = jnp.argsort(~segments.begins, axis=0, stable=True)
+    return jax.tree.map(
+        lambda x: jnp.take_along_axis(x, order.reshape(*order.shape, *(1,) * (x.ndim - 2)), 0),
+        segments,
+    )
 
 
 def high_batch(
-    parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout
-) -> tuple[HighBatch, Float[Array, "M E"]]:
-    """B_h: one sample per segment, taken where its skills were drawn; and the segments' r^h."""
+    parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout, key: Key
+) -> HighBatch:
+    """B_h: one sample per segment, taken where its skills were drawn.
+
+    With the rollout's clock there are exactly T E / k segments. With the episode's clock their
+    number varies: twice as many slots are filled by a random choice of segments, repeated if
+    there are fewer.
+    """
     config, ppo = parts.config, parts.config.ppo
-    transitions, assignments = rollout.transitions, rollout.assignments
-    outcome = transitions.outcome
-    reward, done = jax.vmap(lambda r, d: high_level_reward(r, d, config))(
-        outcome.reward, outcome.done
-    )
-    next_value = _and_after(assignments.value, rollout.next_assignment.value)
-    terminated = done
-    if ppo.bootstrap_truncation:
-        cut = outcome.truncated[:, -1]
-        last = jax.tree.map(lambda x: x[:, -1], (outcome.state, outcome.obs))
-        _, value = parts.coordinator.apply(params, *last, method="encode")
-        next_value = jnp.where(cut[..., None], value, next_value)
-        terminated = done & ~cut
+    segments = _in_front(find_segments(parts, params, rollout))
+    begins = segments.begins[..., None]
     advantage, target = gae(
-        reward[..., None],
-        denormalize(norm, assignments.value),
-        denormalize(norm, next_value),
-        terminated[..., None],
-        done[..., None],
+        jnp.where(begins, segments.reward[..., None], 0.0),
+        jnp.where(begins, denormalize(norm, segments.assignment.value), 0.0),
+        jnp.where(begins, denormalize(norm, segments.next_value), 0.0),
+        segments.terminated[..., None],
+        segments.done[..., None],
         ppo.discount,
         ppo.gae_lambda,
     )
-    advantage = normalize_advantage(advantage)
+    slots = ppo.num_envs * ppo.rollout_length // config.skill_interval
+    if config.segment_clock == "episode":
+        slots = 2 * slots
+    batch = HighBatch(segments.state, segments.obs, segments.assignment, advantage, target)
+    chosen = _choose(segments.begins.reshape(-1), slots, key)
+    batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
+    advantage = normalize_advantage(batch.advantage)
     if config.zero_reward_guard:
         advantage = jnp.where(reward.max() > reward.min(), advantage, 0.0)
-    begin = jax.tree.map(lambda x: x[:, 0], transitions.timestep)
-    batch = HighBatch(begin.state, begin.obs, assignments, advantage, target)
-    return flatten_segments(batch), reward
+    return batch._replace(advantage=advantage)
+
+
+def _choose(valid: Bool[Array, " n"], slots: int, key: Key) -> Array:
+    """Indices of `slots` valid entries: all of them if they fit, again and again if few."""
+    shuffled = jnp.where(valid, jax.random.uniform(key, valid.shape), 2.0)
+    count = jnp.minimum(valid.sum(), slots)
+    return jnp.argsort(shuffled)[jnp.arange(slots) % count]
 
 
 def low_batch(
@@ -83,20 +140,19 @@ def low_batch(
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
     skill in use there.
     """
-    ppo = parts.config.ppo
-    transitions: Transition = flatten_segments(rollout.transitions)
-    skills = _skills_per_step(parts, rollout)
+    ppo, transitions = parts.config.ppo, rollout.transitions
     outcome, extras = transitions.outcome, transitions.extras
-    _, last_value = _critic(
-        parts, params, rollout.memory.critic, rollout.env.timestep.state,
+    skills = extras.assignment.skills
+    last_value = _critic(
+        parts, params, rollout.memory.low.critic, rollout.env.timestep.state,
         rollout.next_assignment.team_skill, rollout.env.first,
     )  # fmt: skip
     next_value = _and_after(extras.value, last_value)
     terminated = outcome.done
     if ppo.bootstrap_truncation:
-        memory = _and_after(extras.memory.critic, rollout.memory.critic)
+        memory = _and_after(extras.low.critic, rollout.memory.low.critic)
         never = jnp.zeros_like(outcome.done)
-        _, value = _critic(parts, params, memory, outcome.state, skills[..., 0], never)
+        value = _critic(parts, params, memory, outcome.state, skills[..., 0], never)
         next_value = jnp.where(outcome.truncated, value, next_value)
         terminated = outcome.terminated
     advantage, target = gae(
@@ -108,7 +164,8 @@ def low_batch(
         ppo.discount,
         ppo.gae_lambda,
     )
-    begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.memory)
+    begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.low)
+    memory = DiscovererMemory(*flatten(tuple(begin)))
     sequences = LowBatch(
         memory=None,
         first=transitions.first,
@@ -123,7 +180,7 @@ def low_batch(
         target=target,
     )
     sequences = jax.tree.map(lambda x: _cut(x, ppo.sequence_length), sequences)
-    return sequences._replace(memory=flatten_segments(begin))
+    return sequences._replace(memory=memory)
 
 
 def _cut(x: Array, length: int) -> Array:
@@ -132,15 +189,10 @@ def _cut(x: Array, length: int) -> Array:
     return x.reshape(-1, length, *x.shape[3:])
 
 
-def _skills_per_step(parts: Parts, rollout: Rollout) -> Array:
-    """(M, E, tokens) -> (T, E, tokens)."""
-    return jnp.repeat(rollout.assignments.skills, parts.config.skill_interval, axis=0)
-
-
 def _critic(parts, params, memory, state, team_skill, first):
-    """V_l of a single step."""
-    memory, value = state_value(
+    """V_l of a single step, at any leading axes."""
+    _, value = state_value(
         parts.discoverer.critic, params["critic"], memory, state[None], team_skill[None],
         first[None], parts.config.num_team_skills,
     )  # fmt: skip
-    return memory, value[0]
+    return value[0]

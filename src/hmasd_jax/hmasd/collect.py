@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
+from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import (
     DiscovererMemory,
@@ -19,28 +20,53 @@ from hmasd_jax.rollout import unroll
 from hmasd_jax.types import EnvCarry, Key, Policy, StepFn, Transition
 
 
-class LowExtras(NamedTuple):
-    """What the discoverer's update needs to know about a step."""
+class RolloutMemory(NamedTuple):
+    """What the copies carry from step to step, and from rollout to rollout."""
 
-    memory: DiscovererMemory
+    low: DiscovererMemory
+    assignment: Assignment
+    """In use now, with log-probability and value from when it was drawn."""
+    clock: Int[Array, " E"]
+    """Steps since the rollout or the episode began (see `HMASDConfig.segment_clock`)."""
+
+
+class Extras(NamedTuple):
+    """What the updates need to know about a step."""
+
+    low: DiscovererMemory
     """Memories before the step."""
     log_prob: Float[Array, "*T E N"]
     value: Float[Array, "*T E"]
+    """V_l, in normalized units."""
+    assignment: Assignment
+    """The skills in use."""
+    renewed: Bool[Array, "*T E"]
+    """Whether they were drawn at this step: a segment begins."""
 
 
 class Rollout(NamedTuple):
-    """T = M k steps of E copies."""
+    """T steps of E copies."""
 
     transitions: Transition
-    """(M, k, E, ...), with `LowExtras`."""
-    assignments: Assignment
-    """(M, E, ...)."""
+    """(T, E, ...), with `Extras`."""
     env: EnvCarry
     """Where the copies stand after the last step."""
-    memory: DiscovererMemory
-    """Memories after the last step."""
+    memory: RolloutMemory
+    """After the last step."""
     next_assignment: Assignment
-    """(E, ...) Drawn at the state after the last step, to bootstrap both levels from."""
+    """(E, ...) What would be in use at the next step, to bootstrap both levels from; its value is
+    that of the state there."""
+
+
+def init_rollout_memory(num_envs: int, num_agents: int, hidden_size: int) -> RolloutMemory:
+    """Memory before the first rollout; the first step draws skills."""
+    low = init_memory((num_envs,), num_agents, hidden_size)
+    return RolloutMemory(low, _blank((num_envs, 1 + num_agents)), jnp.zeros(num_envs, int))
+
+
+def _blank(shape: tuple[int, ...]) -> Assignment:
+    """No skills yet."""
+    return Assignment(jnp.zeros(shape, int), jnp.zeros(shape), jnp.zeros(shape))
 
 
 def collect(
@@ -48,72 +74,100 @@ def collect(
     coordinator: dict,
     discoverer: dict,
     env: EnvCarry,
-    memory: DiscovererMemory,
+    memory: RolloutMemory,
     key: Key,
 ) -> Rollout:
-    """Roll out with the given parameters of coordinator and discoverer.
-
-    As in the authors' code the skill interval counts rollout steps, for all copies at once: an
-    episode that ends early is followed by another under the same skills.
-    """
+    """Roll out with the given parameters of coordinator and discoverer."""
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
+    if config.segment_clock == "rollout":
+        # T is a multiple of k, so this changes no value; but a constant clock does not depend on
+        # the seed, and under vmap over seeds the coordinator still runs only every k steps.
+        memory = memory._replace(clock=jnp.zeros_like(memory.clock))
+    step_fn = _act_and_evaluate(parts, coordinator, discoverer)
+    env, memory, transitions = unroll(
+        parts.env, step_fn, env, memory, key_rollout, config.ppo.rollout_length
+    )
+    _, renewed = read_clock(config, memory.clock, env.first)
+    state, obs = env.timestep.state, env.timestep.obs
+    fresh = assign(parts.coordinator, coordinator, state, obs, key_next)
+    skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
+    return Rollout(transitions, env, memory, fresh._replace(skills=skills))
 
-    def segment(loop, key):
-        env, memory = loop
-        key_assign, key_unroll = jax.random.split(key)
-        state, obs = env.timestep.state, env.timestep.obs
-        assignment = assign(parts.coordinator, coordinator, state, obs, key_assign)
-        step_fn = _act_and_evaluate(parts, discoverer, assignment.skills)
-        env, memory, transitions = unroll(
-            parts.env, step_fn, env, memory, key_unroll, config.skill_interval
+
+def read_clock(
+    config: HMASDConfig, clock: Int[Array, "*batch"], first: Bool[Array, "*batch"]
+) -> tuple[Int[Array, "*batch"], Bool[Array, "*batch"]]:
+    """The time that counts at this step, and whether it is time for new skills (t mod k = 0)."""
+    if config.segment_clock == "episode":
+        clock = jnp.where(first, 0, clock)
+    return clock, clock % config.skill_interval == 0
+
+
+def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
+    """Renew skills if it is time, sample a^i ~ pi_l(.|o^i, z^i) and evaluate V_l(s, Z)."""
+    config = parts.config
+
+    def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
+        key_assign, key_act = jax.random.split(key)
+        clock, renewed = read_clock(config, memory.clock, first)
+        assignment = _renew(
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy=False
         )
-        return (env, memory), (transitions, assignment)
-
-    keys = jax.random.split(key_rollout, config.ppo.rollout_length // config.skill_interval)
-    (env, memory), (transitions, assignments) = jax.lax.scan(segment, (env, memory), keys)
-    last = env.timestep
-    next_assignment = assign(parts.coordinator, coordinator, last.state, last.obs, key_next)
-    return Rollout(transitions, assignments, env, memory, next_assignment)
-
-
-def _act_and_evaluate(parts: Parts, params: dict, skills: Int[Array, "E tokens"]) -> StepFn:
-    """Sample a^i ~ pi_l(.|o^i, z^i) and evaluate V_l(s, Z)."""
-
-    def step_fn(memory, timestep, first, key):
         actor, distribution = action_distribution(
             parts.discoverer.actor,
-            params["actor"],
-            memory.actor,
+            discoverer["actor"],
+            memory.low.actor,
             timestep.obs[None],
             timestep.action_mask[None],
-            skills[None, :, 1:],
+            assignment.individual_skills[None],
             first[None],
-            parts.config.num_skills,
+            config.num_skills,
         )
         critic, value = state_value(
             parts.discoverer.critic,
-            params["critic"],
-            memory.critic,
+            discoverer["critic"],
+            memory.low.critic,
             timestep.state[None],
-            skills[None, :, 0],
+            assignment.team_skill[None],
             first[None],
-            parts.config.num_team_skills,
+            config.num_team_skills,
         )
-        action = distribution.sample(seed=key)
-        extras = LowExtras(memory, distribution.log_prob(action)[0], value[0])
-        return DiscovererMemory(actor, critic), action[0], extras
+        action = distribution.sample(seed=key_act)
+        log_prob = distribution.log_prob(action)[0]
+        extras = Extras(memory.low, log_prob, value[0], assignment, renewed)
+        memory = RolloutMemory(DiscovererMemory(actor, critic), assignment, clock + 1)
+        return memory, action[0], extras
 
     return step_fn
+
+
+def _renew(
+    parts: Parts,
+    params: dict,
+    current: Assignment,
+    timestep: TimeStep,
+    renewed: Bool[Array, "*batch"],
+    key: Key,
+    greedy: bool,
+) -> Assignment:
+    """A fresh assignment where `renewed`, the current one elsewhere."""
+
+    def draw() -> Assignment:
+        fresh = assign(parts.coordinator, params, timestep.state, timestep.obs, key, greedy)
+        return jax.tree.map(
+            lambda new, old: jnp.where(renewed[..., None], new, old), fresh, current
+        )
+
+    return jax.lax.cond(renewed.any(), draw, lambda: current)
 
 
 class PolicyMemory(NamedTuple):
     """What HMASD remembers while it acts."""
 
     actor: Float[Array, "*batch N hidden"]
-    skills: Int[Array, "*batch tokens"]
-    """In use now: Z, then z^1..z^N."""
-    time: Int[Array, "*batch"]
+    assignment: Assignment
+    clock: Int[Array, "*batch"]
     """Steps taken in this episode."""
 
 
@@ -123,32 +177,27 @@ def make_policy(parts: Parts, coordinator: dict, discoverer: dict, greedy: bool)
 
     def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
         memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
-        skills = jnp.zeros((*batch_shape, 1 + num_agents), int)
-        return PolicyMemory(memory.actor, skills, jnp.zeros(batch_shape, int))
+        blank = _blank((*batch_shape, 1 + num_agents))
+        return PolicyMemory(memory.actor, blank, jnp.zeros(batch_shape, int))
 
     def step(memory: PolicyMemory, timestep: TimeStep, first: Bool[Array, "*batch"], key: Key):
         key_assign, key_act = jax.random.split(key)
-        time = jnp.where(first, 0, memory.time)
-        renew = time % config.skill_interval == 0
-
-        def draw_skills():
-            return assign(
-                parts.coordinator, coordinator, timestep.state, timestep.obs, key_assign, greedy
-            ).skills
-
-        fresh = jax.lax.cond(renew.any(), draw_skills, lambda: memory.skills)
-        skills = jnp.where(renew[..., None], fresh, memory.skills)
+        clock = jnp.where(first, 0, memory.clock)
+        renewed = clock % config.skill_interval == 0
+        assignment = _renew(
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy
+        )
         actor, distribution = action_distribution(
             parts.discoverer.actor,
             discoverer["actor"],
             memory.actor,
             timestep.obs[None],
             timestep.action_mask[None],
-            skills[None, ..., 1:],
+            assignment.individual_skills[None],
             first[None],
             config.num_skills,
         )
         action = distribution.mode() if greedy else distribution.sample(seed=key_act)
-        return PolicyMemory(actor, skills, time + 1), action[0], skills
+        return PolicyMemory(actor, assignment, clock + 1), action[0], assignment.skills
 
     return Policy(init, step)

@@ -42,10 +42,10 @@ class HMASDConfig:
     """Which s_{t+1}, o_{t+1} the discriminators see at the end of an episode: `next`, what the
     next step starts from, thus the new episode's first (the authors' code), or `outcome`, the
     true last one."""
-    segment_end: Literal["interval", "episode"] = "interval"
-    """What ends a high-level step within k steps: `interval`, only the interval does, so it runs
-    on into a new episode (the authors' code), or `episode`, the first episode end does: later
-    rewards do not count, and nothing is bootstrapped."""
+    segment_clock: Literal["rollout", "episode"] = "rollout"
+    """When skills are renewed in training: every k steps of the `rollout`, for all copies at once
+    and across episode ends (the authors' code), or at steps 0, k, 2k, .. of each `episode`, as in
+    evaluation and as Algorithm 1 is written."""
     zero_reward_guard: bool = False
     """Whether to drop the coordinator's policy term when all its rewards in a rollout are equal
     (normalized advantages are then nothing but amplified noise)."""

@@ -1,5 +1,6 @@
 """Rewards of the two levels: r^h (Sec. 3.2) and r^i (Eq. 4)."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -31,14 +32,21 @@ def low_level_reward(
 
 
 def high_level_reward(
-    reward: Float[Array, "k *batch"], done: Bool[Array, "k *batch"], config: HMASDConfig
-) -> tuple[Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """Sec. 3.2: r_t^h = sum_{p=0}^{k-1} r_{t+p}, undiscounted; and whether the segment ended.
+    reward: Float[Array, "T *batch"], last: Bool[Array, "T *batch"]
+) -> Float[Array, "T *batch"]:
+    """Sec. 3.2: r_t^h = sum_{p=0}^{k-1} r_{t+p}, the undiscounted reward of a segment.
 
-    By `segment_end`: `interval` sums over all k steps and is done only if an episode ended with
-    the last of them; `episode` sums up to the first episode end and is done if there was one.
+    Args:
+        reward: team reward of every step.
+        last: whether the step is the last of its segment.
+
+    Returns:
+        At every step the sum from there to the end of its segment; r^h at a segment's first.
     """
-    if config.segment_end == "interval":
-        return reward.sum(0), done[-1]
-    ended_before = jnp.cumsum(done, axis=0) - done > 0
-    return jnp.where(ended_before, 0.0, reward).sum(0), done.any(0)
+
+    def backward(following, step):
+        reward, last = step
+        total = reward + jnp.where(last, 0.0, following)
+        return total, total
+
+    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, last), reverse=True)[1]
