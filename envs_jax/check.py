@@ -103,7 +103,7 @@ def _output_types(
     """Trace `function`, as every transform of JAX does."""
     try:
         output = jax.eval_shape(function, *args)
-    except (TypeError, jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+    except (TypeError, IndexError) as error:  # what tracing errors derive from
         reason = str(error).strip().split("\n")[0]
         raise EnvironmentCheckError(
             f"{type(env).__name__}: {name} must run under jax.jit; found {reason}"
