@@ -1,5 +1,6 @@
 """HMASD: Algorithm 1 of the paper as one pure `update`."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -56,8 +57,11 @@ def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
     def update(state: HMASDState) -> tuple[HMASDState, Metrics]:
         return train_iteration(parts, state)
 
-    def policy(state: HMASDState, greedy: bool = True) -> Policy:
-        return make_policy(parts, state.coordinator.params, state.discoverer.params, greedy)
+    def policy(
+        state: HMASDState, greedy: bool = True, skills: Sequence[int | None] | None = None
+    ) -> Policy:
+        params = state.coordinator.params, state.discoverer.params
+        return make_policy(parts, *params, greedy, skills)
 
     return Algorithm(init, update, policy)
 

@@ -1,5 +1,6 @@
 """Algorithm 1, inference phase: assign skills every k steps and act on them in between."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -150,11 +151,13 @@ def _renew(
     renewed: Bool[Array, "*batch"],
     key: Key,
     greedy: bool,
+    fixed: Sequence[int | None] | None = None,
 ) -> Assignment:
     """A fresh assignment where `renewed`, the current one elsewhere."""
 
     def draw() -> Assignment:
-        fresh = assign(parts.coordinator, params, timestep.state, timestep.obs, key, greedy)
+        state, obs = timestep.state, timestep.obs
+        fresh = assign(parts.coordinator, params, state, obs, key, greedy, fixed)
         return jax.tree.map(
             lambda new, old: jnp.where(renewed[..., None], new, old), fresh, current
         )
@@ -171,9 +174,28 @@ class PolicyMemory(NamedTuple):
     """Steps taken in this episode."""
 
 
-def make_policy(parts: Parts, coordinator: dict, discoverer: dict, greedy: bool) -> Policy:
-    """Execution (end of Sec. 3.2): new skills at episode steps 0, k, 2k, ..; extras: the skills."""
+def make_policy(
+    parts: Parts,
+    coordinator: dict,
+    discoverer: dict,
+    greedy: bool,
+    skills: Sequence[int | None] | None = None,
+) -> Policy:
+    """Execution (end of Sec. 3.2): new skills at episode steps 0, k, 2k, ..; extras: the skills.
+
+    Args:
+        parts: networks and settings.
+        coordinator: parameters.
+        discoverer: parameters.
+        greedy: whether skills and actions are the most probable ones, or sampled.
+        skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to look at what
+            was learned; it still chooses those that are None, given those before them.
+
+    Raises:
+        ValueError: wrong number of skills, or a skill that does not exist.
+    """
     config, num_agents = parts.config, parts.env.num_agents
+    fixed = check_skills(parts, skills)
 
     def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
         memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
@@ -185,7 +207,7 @@ def make_policy(parts: Parts, coordinator: dict, discoverer: dict, greedy: bool)
         clock = jnp.where(first, 0, memory.clock)
         renewed = clock % config.skill_interval == 0
         assignment = _renew(
-            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, fixed
         )
         actor, distribution = action_distribution(
             parts.discoverer.actor,
@@ -201,3 +223,19 @@ def make_policy(parts: Parts, coordinator: dict, discoverer: dict, greedy: bool)
         return PolicyMemory(actor, assignment, clock + 1), action[0], assignment.skills
 
     return Policy(init, step)
+
+
+def check_skills(
+    parts: Parts, skills: Sequence[int | None] | None
+) -> tuple[int | None, ...] | None:
+    """`skills` as a tuple, if there is one per token and each exists or is None."""
+    if skills is None:
+        return None
+    counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents
+    if len(skills) != len(counts):
+        raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
+    for token, (skill, count) in enumerate(zip(skills, counts)):
+        if skill is not None and not 0 <= skill < count:
+            name = f"skill of agent {token - 1}" if token else "team skill"
+            raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
+    return tuple(skills)

@@ -4,6 +4,7 @@ Token 0 stands for the team (state s, team skill Z), token i for agent i (o^i, z
 skills, log-probabilities and values have these 1 + N tokens on their last axis.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import distrax
@@ -136,16 +137,25 @@ def assign(
     obs: Float[Array, "*batch N obs"],
     key: Key,
     greedy: bool = False,
+    fixed: Sequence[int | None] | None = None,
 ) -> Assignment:
-    """Algorithm 1, line "Sample skills": Z ~ pi_h(.|s, o), then each z^i given those before it."""
+    """Algorithm 1, line "Sample skills": Z ~ pi_h(.|s, o), then each z^i given those before it.
+
+    Tokens with a skill in `fixed` (tokens,) get that one; the others are drawn given it.
+    """
     encoded, value = network.apply(params, state, obs, method="encode")
     blank = jnp.zeros(value.shape, int)
+    if fixed is not None:
+        is_fixed = jnp.array([skill is not None for skill in fixed])
+        fixed_skill = jnp.array([skill or 0 for skill in fixed])
 
     def draw(skills, inputs):
         token, key = inputs
         logits = network.apply(params, encoded, skills, method="decode")
         distribution = distrax.Categorical(logits=jnp.take(logits, token, axis=-2))
         skill = distribution.mode() if greedy else distribution.sample(seed=key)
+        if fixed is not None:
+            skill = jnp.where(is_fixed[token], fixed_skill[token], skill)
         # Illegal skills have probability 0, so the drawn index is legal at its token.
         return skills.at[..., token].set(skill), distribution.log_prob(skill)
 
