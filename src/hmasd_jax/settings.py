@@ -9,6 +9,7 @@ import math
 import tomllib
 import types
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
@@ -117,6 +118,8 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
         return plain
     if origin in (Union, types.UnionType):
         return _convert_union(value, options, path)
+    if annotation is Path and isinstance(value, str):
+        return Path(value)
     value = _parse(value) if annotation is not str else value
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(convert(item, options[0], path) for item in value)

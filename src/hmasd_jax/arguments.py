@@ -1,0 +1,155 @@
+"""The command line as options and overrides. Everything here is fast: nothing of jax runs.
+
+tyro writes the help out of types and docstrings. Parsing is done here, so that a mistake on the
+command line gets the same one line as the same mistake in a TOML file.
+"""
+
+import contextlib
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from hmasd_jax.config import TrainConfig
+from hmasd_jax.settings import ConfigError, Text, from_table, suggest
+
+Options = TypeVar("Options")
+
+
+@dataclass(frozen=True)
+class SweepOptions:
+    """Where a run reads from and writes to."""
+
+    config: Path | None = None
+    """A .toml file, or the config.json of a run; without it, the paper's preset."""
+    run_dir: Path | None = None
+    """Folder to write; without it, a new one under runs/ named after the task and the time."""
+    resume: bool = False
+    """Continue the run in --run-dir from its newest checkpoints."""
+    tensorboard: bool = False
+    """Write TensorBoard files too (package tensorboardX)."""
+    wandb: bool = False
+    """Log to Weights & Biases too (package wandb; WANDB_MODE=offline needs no account)."""
+
+
+@dataclass(frozen=True)
+class TrainOptions(SweepOptions):
+    """Where a run reads from and writes to, and which seed it is."""
+
+    seed_index: int = 0
+    """Which seed of a sweep to run: the same numbers as that seed of `seed_sweep`."""
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """Which policies to play, and how often."""
+
+    run: Path
+    """Folder of a finished or running run."""
+    episodes: int | None = None
+    """Episodes per seed; without it, as many as in the run's own evaluations."""
+    sampled: bool = False
+    """Sample skills and actions, as in training, instead of taking the most likely ones."""
+
+
+@dataclass(frozen=True)
+class RenderOptions:
+    """Which episode to draw."""
+
+    run: Path
+    """Folder of a finished or running run."""
+    out: Path
+    """GIF to write."""
+    seed: int = 0
+    """Which seed of the run."""
+    team_skill: int | None = None
+    """Team skill to hold throughout; without it, the coordinator chooses."""
+
+
+@dataclass(frozen=True)
+class PlotOptions:
+    """What to plot."""
+
+    runs: tuple[Path, ...]
+    """Folders of runs; each is one curve with a band over its seeds."""
+    out: Path = Path("curves.png")
+    """Image to write."""
+
+
+def parse(
+    cls: type[Options], arguments: Sequence[str], positional: str | None = None
+) -> tuple[Options, dict[str, Text]]:
+    """Split a command line into the options of a command and overrides of the configuration.
+
+    Args:
+        cls: options of the command.
+        arguments: what follows the command.
+        positional: field of `cls` that takes words without a name.
+
+    Returns:
+        The options, and all other `--name value` pairs by dotted name, for `config.load`.
+
+    Raises:
+        ConfigError: a word in a wrong place, or an option's value of a wrong type.
+    """
+    hints = get_type_hints(cls)
+    given: dict[str, Any] = {}
+    overrides: dict[str, Text] = {}
+    words = list(arguments)
+    while words:
+        word = words.pop(0)
+        if word.startswith("--"):
+            name, equals, value = word[2:].partition("=")
+            name = name.replace("-", "_")
+            if not equals:
+                is_flag = not words or words[0].startswith("--") or hints.get(name) is bool
+                value = "true" if is_flag else words.pop(0)
+            (given if name in hints else overrides)[name] = Text(value)
+        elif positional is None:
+            raise ConfigError(f"unexpected {word!r}: settings are written --name value")
+        elif hints[positional] == tuple[Path, ...]:
+            given[positional] = (*given.get(positional, ()), Text(word))
+        elif positional in given:
+            raise ConfigError(f"unexpected {word!r}: {given[positional]} is given already")
+        else:
+            given[positional] = Text(word)
+    return from_table(cls, given), overrides
+
+
+def refuse_overrides(cls: type, overrides: dict[str, Text]) -> None:
+    """For commands that take no settings.
+
+    Raises:
+        ConfigError: there are some.
+    """
+    for name in overrides:
+        known = [f.name for f in dataclasses.fields(cls)]
+        raise ConfigError(f"unknown option --{name}{suggest(name, known)}")
+
+
+def write_help(command: str, summary: str, cls: type, settings: TrainConfig | None) -> None:
+    """Print the help of a command: its options, and settings with their current values."""
+    import tyro
+
+    conf = tyro.conf
+    fields: list[Any] = [("options", conf.OmitArgPrefixes[conf.FlagCreatePairsOff[cls]])]
+    required = {f.name: conf.MISSING for f in dataclasses.fields(cls) if _is_required(f)}
+    defaults: dict[str, Any] = {"options": cls(**required)}
+    if settings is not None:
+        types = TrainConfig[type(settings.env), type(settings.algorithm)]
+        fields.append(("settings", conf.OmitArgPrefixes[conf.FlagConversionOff[types]]))
+        defaults["settings"] = settings
+    arguments = dataclasses.make_dataclass("Arguments", fields, frozen=True)
+    with contextlib.suppress(SystemExit):
+        tyro.cli(
+            arguments,
+            default=arguments(**defaults),
+            args=["--help"],
+            prog=f"python -m hmasd_jax.train {command}",
+            description=summary,
+        )
+
+
+def _is_required(option: dataclasses.Field) -> bool:
+    return option.default is option.default_factory is dataclasses.MISSING

@@ -1,0 +1,161 @@
+"""The commands that train: `train` and `seed_sweep`, from settings to a finished run folder."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from hmasd_jax import config as configs
+from hmasd_jax import logging, run_folder, summary, sweep
+from hmasd_jax.arguments import SweepOptions, TrainOptions
+from hmasd_jax.config import TrainConfig
+from hmasd_jax.plan import make_plan
+from hmasd_jax.progress import Display
+from hmasd_jax.trainer import Event, Job, train_seeds
+
+INTERRUPTED = 130
+FAILED = 1
+
+
+def train(config: TrainConfig, options: TrainOptions, words: list[str]) -> int:
+    """Train one seed; the exit code."""
+    return _experiment("train", config, options, words, [options.seed_index])
+
+
+def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> int:
+    """Train seeds 0 .. num_seeds - 1; the exit code."""
+    return _experiment("seed_sweep", config, options, words, list(range(config.num_seeds)))
+
+
+def _experiment(
+    command: str, config: TrainConfig, options: SweepOptions, words: list[str], seeds: list[int]
+) -> int:
+    """Prepare the folder, train, summarize."""
+    extras = tuple(name for name in ("tensorboard", "wandb") if getattr(options, name))
+    logging.check_extras(extras)
+    console = Console()
+    run = options.run_dir or _default_folder(config)
+    line = run_folder.shell_command([command, *words])
+    if options.resume:
+        check_same(run_folder.read_config(run), config, run)
+        run_folder.note_resume(run, line)
+    else:
+        run_folder.create(run, config, line)
+    console.print(describe(config, seeds, run, command), markup=False, highlight=False)
+    display = Display(console, seeds, make_plan(config).env_steps)
+    with stop_on_signal() as should_stop, display:
+        job = Job(run, config, extras, display.handle, should_stop)
+        alone = command == "train" and config.layout != "workers"
+        results = train_seeds(job, seeds) if alone else sweep.run_sweep(job, seeds)
+    return conclude(console, run, config, results, command)
+
+
+def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
+    """Insist that a run is continued with the configuration it began with.
+
+    Raises:
+        RunError: naming the fields that differ.
+    """
+    old, new = (_flatten(configs.to_json(c)) for c in (saved, wanted))
+    changed = [k for k in sorted(old | new) if old.get(k) != new.get(k)]
+    if changed:
+        changes = ", ".join(f"{k} (was {old.get(k)}, now {new.get(k)})" for k in changed)
+        raise run_folder.RunError(
+            f"{run} has another configuration: {changes}; resume without these, or choose "
+            "another --run-dir"
+        )
+
+
+def describe(config: TrainConfig, seeds: list[int], run: Path, command: str) -> str:
+    """What follows from the configuration."""
+    plan = make_plan(config)
+    layout = sweep.choose_layout(config)
+    if command == "train" and config.layout != "workers":
+        layout = "this process"
+    workers = min(len(run_folder.available_cores()), len(seeds))
+    layout += f" ({workers} single-threaded processes)" if layout == "workers" else ""
+    per_update, names = plan.env_steps_per_update, configs.to_json(config)
+    lines = [
+        f"run folder       {run}",
+        f"task             {names['algorithm']['name']} on {names['env']['name']}",
+        f"seeds            {len(seeds)} ({', '.join(map(str, seeds))}), layout {layout}",
+        f"updates          {plan.num_updates:,} of {per_update:,} env steps",
+        f"env steps        {plan.env_steps:,} per seed",
+        f"evaluations      {plan.num_evaluations} of {config.eval_episodes} episodes, "
+        f"every {plan.eval_every * per_update:,} env steps",
+        f"metrics          every {plan.log_every * per_update:,} env steps",
+        f"checkpoints      every {plan.checkpoint_every * per_update:,} env steps, "
+        f"the last {config.keep_checkpoints} are kept",
+    ]
+    if plan.env_steps != config.total_env_steps:
+        lines.append(
+            f"note: total_env_steps {config.total_env_steps:,} is rounded down to "
+            f"{plan.env_steps:,}, a multiple of the {per_update:,} env steps of one update"
+        )
+    return "\n".join(lines)
+
+
+@contextmanager
+def stop_on_signal() -> Iterator[Callable[[], bool]]:
+    """Turn Ctrl-C and a polite kill into a request that training asks for between chunks."""
+    asked: list[int] = []
+
+    def ask(number: int, _: Any) -> None:
+        asked.append(number)
+
+    previous = {s: signal.signal(s, ask) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def conclude(
+    console: Console,
+    run: Path,
+    config: TrainConfig,
+    results: dict[int, Event],
+    command: str,
+) -> int:
+    """Write the summary and the curves, and say what is left to do; the exit code."""
+    summary.write(run, config, results)
+    console.print(summary.table(run))
+    failed = {seed: e.data["message"] for seed, e in sorted(results.items()) if e.kind == "failed"}
+    interrupted = any(event.kind == "interrupted" for event in results.values())
+    for seed, message in failed.items():
+        console.print(f"seed {seed} failed: {message}", markup=False, soft_wrap=True)
+    again = f"python -m hmasd_jax.train {command} --run-dir {run} --resume"
+    if interrupted:
+        console.print(f"interrupted; to continue: {again}", markup=False, soft_wrap=True)
+        return INTERRUPTED
+    if failed:
+        console.print(
+            f"to run what failed again from its last checkpoint: {again}",
+            markup=False,
+            soft_wrap=True,
+        )
+    summary.plot(console, run)
+    return FAILED if failed else 0
+
+
+def _default_folder(config: TrainConfig) -> Path:
+    names = configs.to_json(config)
+    task = f"{names['env']['name']}-{names['algorithm']['name']}"
+    return Path("runs") / f"{task}-{time.strftime('%Y%m%d-%H%M%S')}"
+
+
+def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables as one, with dotted names."""
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        flat |= (
+            _flatten(value, f"{prefix}{name}.")
+            if isinstance(value, dict)
+            else {prefix + name: value}
+        )
+    return flat

@@ -1,0 +1,133 @@
+"""The compiled functions of a run. All of them take a batch of seeds on the first axis."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from hmasd_jax import config as configs
+from hmasd_jax.config import TrainConfig
+from hmasd_jax.evaluate import evaluate
+from hmasd_jax.types import Algorithm, Key, Learner, Metrics
+
+EVALUATION = 2**31
+"""Folded into the experiment's key, where training runs fold in their small index."""
+
+
+class Advanced(NamedTuple):
+    """What a number of updates brings."""
+
+    states: Any
+    sums: Metrics
+    """Sums of every metric over the updates, (seeds,)."""
+    healthy: Bool[Array, " seeds"]
+    """Whether all parameters, optimizer states and metrics are finite."""
+
+
+class Programs(NamedTuple):
+    """Executables for a fixed number of seeds."""
+
+    init: Callable[[Key], Any]
+    advance: Callable[[Any, Array], Advanced]
+    """`advance(states, num_updates)`; `states` is donated."""
+    evaluate: Callable[[Any, Key], Metrics]
+    """`evaluate(states, keys)`: means over greedy episodes, (seeds,)."""
+    memory_bytes: int
+    """What the largest of them needs at once, by the compiler's own account."""
+    compile_seconds: float
+
+
+def seed_key(config: TrainConfig, index: int) -> Key:
+    """Where training run `index` of an experiment begins."""
+    return jax.random.fold_in(jax.random.key(config.seed), index)
+
+
+def evaluation_key(config: TrainConfig, index: int, env_steps: int) -> Key:
+    """Randomness of the evaluation of run `index` after `env_steps`."""
+    key = jax.random.fold_in(jax.random.key(config.seed), EVALUATION + index)
+    return jax.random.fold_in(key, env_steps)
+
+
+def state_template(algorithm: Algorithm) -> Any:
+    """Shapes of one seed's train state."""
+    return jax.eval_shape(algorithm.init, jax.random.key(0))
+
+
+def compile_programs(config: TrainConfig, num_seeds: int) -> Programs:
+    """Build and compile everything that training `num_seeds` seeds at once runs."""
+    start = time.perf_counter()
+    env, algorithm = configs.build(config)
+    update = jax.jit(algorithm.update)  # traced once although used twice below
+
+    def advance(state: Any, num_updates: Array) -> Advanced:
+        # A loop with a traced bound, so that one executable serves any number of updates.
+        def body(_, carry):
+            state, sums = carry
+            state, metrics = update(state)
+            return state, jax.tree.map(jnp.add, sums, metrics)
+
+        shapes = jax.eval_shape(update, state)[1]
+        zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        state, sums = jax.lax.fori_loop(0, num_updates, body, (state, zeros))
+        return Advanced(state, sums, all_finite(state, sums))
+
+    def play(state: Any, key: Key) -> Metrics:
+        return evaluate(env, algorithm.policy(state, greedy=True), key, config.eval_episodes)
+
+    keys = jax.random.split(jax.random.key(0), num_seeds)
+    init = jax.jit(batched(algorithm.init, num_seeds)).lower(keys)
+    states = init.out_info
+    count = jax.ShapeDtypeStruct((), jnp.int32)
+    programs = [
+        init.compile(),
+        jax.jit(batched(advance, num_seeds, (0, None)), donate_argnums=0)
+        .lower(states, count)
+        .compile(),
+        jax.jit(batched(play, num_seeds, (0, 0))).lower(states, keys).compile(),
+    ]
+    memory = max(_memory_bytes(program) for program in programs)
+    return Programs(*programs, memory, time.perf_counter() - start)
+
+
+def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
+    """Whether every float of the learners in `state`, and of `metrics`, is finite."""
+    nodes = jax.tree.leaves(state, is_leaf=lambda x: isinstance(x, Learner))
+    learners = [node for node in nodes if isinstance(node, Learner)]
+    floats = [
+        x for x in jax.tree.leaves((learners, metrics)) if jnp.issubdtype(x.dtype, jnp.floating)
+    ]
+    return jnp.stack([jnp.isfinite(x).all() for x in floats]).all()
+
+
+def batched(function: Callable, num_seeds: int, in_axes: Sequence[int | None] = (0,)) -> Callable:
+    """`function` over a leading axis of seeds.
+
+    A single seed is not vmapped: on a CPU a batched matrix product is slower than a plain one.
+    """
+    if num_seeds > 1:
+        return jax.vmap(function, in_axes=tuple(in_axes))
+
+    def single(*args):
+        args = [
+            arg if axis is None else jax.tree.map(lambda x: x[0], arg)
+            for arg, axis in zip(args, in_axes)
+        ]
+        return jax.tree.map(lambda x: x[None], function(*args))
+
+    return single
+
+
+def _memory_bytes(program: Any) -> int:
+    """Arguments, results and temporaries of an executable; 0 if the backend does not tell."""
+    analysis = program.memory_analysis()
+    if analysis is None:
+        return 0
+    return (
+        analysis.argument_size_in_bytes
+        + analysis.output_size_in_bytes
+        - analysis.alias_size_in_bytes
+        + analysis.temp_size_in_bytes
+    )

@@ -1,0 +1,117 @@
+"""`python -m hmasd_jax.train COMMAND`: the command line."""
+
+import sys
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from hmasd_jax import arguments, config
+from hmasd_jax.algorithms import ALGORITHMS
+from hmasd_jax.config import ENVIRONMENTS, ConfigError
+
+
+class Command(NamedTuple):
+    """One word of the command line."""
+
+    summary: str
+    options: type
+    positional: str | None
+    """Option that takes words without a name; None for commands that take settings."""
+
+
+COMMANDS = {
+    "train": Command("Train one seed.", arguments.TrainOptions, None),
+    "seed_sweep": Command(
+        "Train several seeds of one experiment; without arguments, the paper's HMASD on "
+        "Alice_and_Bob.",
+        arguments.SweepOptions,
+        None,
+    ),
+    "evaluate": Command(
+        "Play episodes with the newest checkpoint of every seed of a run.",
+        arguments.EvaluateOptions,
+        "run",
+    ),
+    "render": Command("Draw an episode as a GIF.", arguments.RenderOptions, "run"),
+    "plot": Command("Plot learning curves of runs.", arguments.PlotOptions, "runs"),
+}
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run the command line `words` (those of the process if None); the exit code."""
+    words = sys.argv[1:] if words is None else words
+    wants_help = any(word in ("-h", "--help") for word in words)
+    name, *rest = [word for word in words if word not in ("-h", "--help")] or [None]
+    if name is None:
+        print(usage())
+        return 0 if wants_help else 2
+    try:
+        if name not in COMMANDS:
+            from hmasd_jax.settings import suggest
+
+            raise ConfigError(f"unknown command {name!r}{suggest(name, COMMANDS)}")
+        if wants_help:
+            return _help(name, rest)
+        return _run(name, rest)
+    except ConfigError as error:
+        return _complain(error)
+
+
+def usage() -> str:
+    """What the commands are."""
+    lines = [f"  {name:<11} {command.summary}" for name, command in COMMANDS.items()]
+    head = "usage: python -m hmasd_jax.train COMMAND [--help] [OPTIONS]"
+    return "\n".join([head, "", *lines])
+
+
+def _help(name: str, words: list[str]) -> int:
+    command = COMMANDS[name]
+    if command.positional:
+        arguments.write_help(name, command.summary, command.options, None)
+        return 0
+    options, overrides = arguments.parse(command.options, words)
+    summary = (
+        f"{command.summary} --env.name is one of {', '.join(ENVIRONMENTS)}; --algorithm.name is "
+        f"one of {', '.join(ALGORITHMS)}. Values shown are those that the rest of the command "
+        "line gives."
+    )
+    settings = config.load(options.config, overrides)
+    arguments.write_help(name, summary, command.options, settings)
+    return 0
+
+
+def _run(name: str, words: list[str]) -> int:
+    command = COMMANDS[name]
+    options, overrides = arguments.parse(command.options, words, command.positional)
+    if command.positional:
+        arguments.refuse_overrides(command.options, overrides)
+        from hmasd_jax import inspection
+
+        action: Callable[..., int] = getattr(inspection, name)
+        return _guarded(action, options)
+    if options.resume and options.run_dir is None:
+        raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
+    default = options.run_dir / "config.json" if options.resume else None
+    settings = config.load(options.config or default, overrides)
+    from hmasd_jax import experiment
+
+    return _guarded(getattr(experiment, name), settings, options, words)
+
+
+def _guarded(action: Callable[..., int], *args: Any) -> int:
+    """Run `action`; what the user can mend is told in one line."""
+    from hmasd_jax.checkpoint import CheckpointError
+    from hmasd_jax.run_folder import RunError
+
+    try:
+        return action(*args)
+    except (RunError, CheckpointError) as error:
+        return _complain(error)
+
+
+def _complain(error: Exception) -> int:
+    print(f"error: {error}", file=sys.stderr)
+    return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())
