@@ -1,0 +1,82 @@
+"""The commands that look at runs: `evaluate`, `render` and `plot`."""
+
+import jax
+from rich.console import Console
+from rich.table import Table
+
+from hmasd_jax import checkpoint, run_folder
+from hmasd_jax.arguments import EvaluateOptions, PlotOptions, RenderOptions
+from hmasd_jax.evaluate import evaluate as play
+from hmasd_jax.policy import load_run
+from hmasd_jax.programs import evaluation_key
+from hmasd_jax.run_folder import RunError
+from hmasd_jax.settings import ConfigError, check_range
+from hmasd_jax.types import Key, Metrics
+
+
+def evaluate(options: EvaluateOptions) -> int:
+    """Play with the newest checkpoint of every seed and print a table; the exit code.
+
+    With the run's own number of episodes, and greedily, the numbers are those that the run's
+    evaluation at that step gave.
+    """
+    if options.episodes is not None:
+        check_range(options, "episodes", low=1)
+    config = run_folder.read_config(options.run)
+    episodes = options.episodes or config.eval_episodes
+    folders = {
+        i: run_folder.checkpoint_folder(options.run, i) for i in run_folder.seeds_of(options.run)
+    }
+    ready = [
+        index for index, folder in folders.items() if checkpoint.latest_step(folder) is not None
+    ]
+    if not ready:
+        raise RunError(f"{options.run} has no checkpoint yet: wait for the first one")
+    algorithm, env = None, config.env
+
+    @jax.jit
+    def evaluation(state: object, key: Key) -> Metrics:
+        policy = algorithm.policy(state, greedy=not options.sampled)
+        return play(env, policy, key, episodes)
+
+    rows = []
+    for index in ready:
+        trained = load_run(options.run, index)
+        algorithm = algorithm or trained.algorithm
+        metrics = evaluation(trained.state, evaluation_key(config, index, trained.env_steps))
+        rows.append((index, trained.env_steps, {k: float(v) for k, v in metrics.items()}))
+    how = "sampled" if options.sampled else "greedy"
+    table = Table("seed", "env steps", *rows[0][2], title=f"{episodes} {how} episodes per seed")
+    for index, env_steps, numbers in rows:
+        table.add_row(str(index), f"{env_steps:,}", *(f"{x:.3f}" for x in numbers.values()))
+    console = Console()
+    console.print(table)
+    for index in sorted(set(folders) - set(ready)):
+        console.print(f"seed {index} has no checkpoint yet", highlight=False)
+    return 0
+
+
+def render(options: RenderOptions) -> int:
+    """Draw an episode as a GIF; the exit code."""
+    try:
+        from hmasd_jax.render import render_run
+    except ImportError as error:
+        raise _missing(error) from error
+    render_run(options.run, options.out, seed=options.seed, team_skill=options.team_skill)
+    print(options.out)
+    return 0
+
+
+def plot(options: PlotOptions) -> int:
+    """Plot learning curves of runs; the exit code."""
+    try:
+        from hmasd_jax.plot import plot_runs
+    except ImportError as error:
+        raise _missing(error) from error
+    plot_runs(list(options.runs), options.out)
+    print(options.out)
+    return 0
+
+
+def _missing(error: ImportError) -> ConfigError:
+    return ConfigError(f"this needs more packages ({error}): pip install 'hmasd-jax[plots]'")
