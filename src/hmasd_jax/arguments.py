@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from hmasd_jax.config import TrainConfig
-from hmasd_jax.settings import ConfigError, Text, from_table, suggest
+from hmasd_jax.settings import ConfigError, Flag, Text, check_range, from_table, suggest
 
 Options = TypeVar("Options")
 
@@ -40,6 +40,9 @@ class TrainOptions(SweepOptions):
     seed_index: int = 0
     """Which seed of a sweep to run: the same numbers as that seed of `seed_sweep`."""
 
+    def __post_init__(self) -> None:
+        check_range(self, "seed_index", low=0)
+
 
 @dataclass(frozen=True)
 class EvaluateOptions:
@@ -51,6 +54,10 @@ class EvaluateOptions:
     """Episodes per seed; without it, as many as in the run's own evaluations."""
     sampled: bool = False
     """Sample skills and actions, as in training, instead of taking the most likely ones."""
+
+    def __post_init__(self) -> None:
+        if self.episodes is not None:
+            check_range(self, "episodes", low=1)
 
 
 @dataclass(frozen=True)
@@ -65,6 +72,16 @@ class RenderOptions:
     """Which seed of the run."""
     team_skill: int | None = None
     """Team skill to hold throughout; without it, the coordinator chooses."""
+    episodes: int = 1
+    """Episodes to draw, one after the other."""
+    fps: float = 5.0
+    """Environment steps per second."""
+    step: int | None = None
+    """Environment steps of the checkpoint; without it, the newest."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "episodes", low=1)
+        check_range(self, "seed", "fps", low=0)
 
 
 @dataclass(frozen=True)
@@ -75,6 +92,8 @@ class PlotOptions:
     """Folders of runs; each is one curve with a band over its seeds."""
     out: Path = Path("curves.png")
     """Image to write."""
+    metric: str = "success"
+    """Which number of the evaluations, e.g. success, return or length."""
 
 
 def parse(
@@ -104,8 +123,10 @@ def parse(
             name = name.replace("-", "_")
             if not equals:
                 is_flag = not words or words[0].startswith("--") or hints.get(name) is bool
-                value = "true" if is_flag else words.pop(0)
-            (given if name in hints else overrides)[name] = Text(value)
+                value = Flag("true") if is_flag else Text(words.pop(0))
+            else:
+                value = Text(value)
+            (given if name in hints else overrides)[name] = value
         elif positional is None:
             raise ConfigError(f"unexpected {word!r}: settings are written --name value")
         elif hints[positional] == tuple[Path, ...]:
@@ -134,10 +155,10 @@ def write_help(command: str, summary: str, cls: type, settings: TrainConfig | No
 
     conf = tyro.conf
     fields: list[Any] = [("options", conf.OmitArgPrefixes[conf.FlagCreatePairsOff[cls]])]
-    required = {f.name: conf.MISSING for f in dataclasses.fields(cls) if _is_required(f)}
+    required = {f.name: tyro.MISSING for f in dataclasses.fields(cls) if _is_required(f)}
     defaults: dict[str, Any] = {"options": cls(**required)}
     if settings is not None:
-        types = TrainConfig[type(settings.env), type(settings.algorithm)]
+        types = TrainConfig[type(settings.env), type(settings.algorithm)]  # pyrefly: ignore
         fields.append(("settings", conf.OmitArgPrefixes[conf.FlagConversionOff[types]]))
         defaults["settings"] = settings
     arguments = dataclasses.make_dataclass("Arguments", fields, frozen=True)

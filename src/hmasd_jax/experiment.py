@@ -45,13 +45,14 @@ def _experiment(
         run_folder.note_resume(run, line)
     else:
         run_folder.create(run, config, line)
-    console.print(describe(config, seeds, run, command), markup=False, highlight=False)
+    text = describe(config, seeds, run, command)
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
     display = Display(console, seeds, make_plan(config).env_steps)
     with stop_on_signal() as should_stop, display:
         job = Job(run, config, extras, display.handle, should_stop)
         alone = command == "train" and config.layout != "workers"
         results = train_seeds(job, seeds) if alone else sweep.run_sweep(job, seeds)
-    return conclude(console, run, config, results, command)
+    return conclude(console, run, results, command)
 
 
 def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
@@ -118,12 +119,11 @@ def stop_on_signal() -> Iterator[Callable[[], bool]]:
 def conclude(
     console: Console,
     run: Path,
-    config: TrainConfig,
     results: dict[int, Event],
     command: str,
 ) -> int:
     """Write the summary and the curves, and say what is left to do; the exit code."""
-    summary.write(run, config, results)
+    summary.write(run, results)
     console.print(summary.table(run))
     failed = {seed: e.data["message"] for seed, e in sorted(results.items()) if e.kind == "failed"}
     interrupted = any(event.kind == "interrupted" for event in results.values())

@@ -5,12 +5,12 @@ from rich.console import Console
 from rich.table import Table
 
 from hmasd_jax import checkpoint, run_folder
+from hmasd_jax import config as configs
 from hmasd_jax.arguments import EvaluateOptions, PlotOptions, RenderOptions
 from hmasd_jax.evaluate import evaluate as play
 from hmasd_jax.policy import load_run
 from hmasd_jax.programs import evaluation_key
 from hmasd_jax.run_folder import RunError
-from hmasd_jax.settings import ConfigError, check_range
 from hmasd_jax.types import Key, Metrics
 
 
@@ -20,8 +20,6 @@ def evaluate(options: EvaluateOptions) -> int:
     With the run's own number of episodes, and greedily, the numbers are those that the run's
     evaluation at that step gave.
     """
-    if options.episodes is not None:
-        check_range(options, "episodes", low=1)
     config = run_folder.read_config(options.run)
     episodes = options.episodes or config.eval_episodes
     folders = {
@@ -32,7 +30,7 @@ def evaluate(options: EvaluateOptions) -> int:
     ]
     if not ready:
         raise RunError(f"{options.run} has no checkpoint yet: wait for the first one")
-    algorithm, env = None, config.env
+    env, algorithm = configs.build(config)
 
     @jax.jit
     def evaluation(state: object, key: Key) -> Metrics:
@@ -42,7 +40,6 @@ def evaluate(options: EvaluateOptions) -> int:
     rows = []
     for index in ready:
         trained = load_run(options.run, index)
-        algorithm = algorithm or trained.algorithm
         metrics = evaluation(trained.state, evaluation_key(config, index, trained.env_steps))
         rows.append((index, trained.env_steps, {k: float(v) for k, v in metrics.items()}))
     how = "sampled" if options.sampled else "greedy"
@@ -57,26 +54,16 @@ def evaluate(options: EvaluateOptions) -> int:
 
 
 def render(options: RenderOptions) -> int:
-    """Draw an episode as a GIF; the exit code."""
-    try:
-        from hmasd_jax.render import render_run
-    except ImportError as error:
-        raise _missing(error) from error
-    render_run(options.run, options.out, seed=options.seed, team_skill=options.team_skill)
-    print(options.out)
+    """Draw episodes as a GIF; the exit code."""
+    from hmasd_jax.render import render_run  # the drawing packages are optional
+
+    print(render_run(**vars(options)))
     return 0
 
 
 def plot(options: PlotOptions) -> int:
     """Plot learning curves of runs; the exit code."""
-    try:
-        from hmasd_jax.plot import plot_runs
-    except ImportError as error:
-        raise _missing(error) from error
-    plot_runs(list(options.runs), options.out)
-    print(options.out)
+    from hmasd_jax.plot import plot_runs
+
+    print(plot_runs(options.runs, options.out, options.metric))
     return 0
-
-
-def _missing(error: ImportError) -> ConfigError:
-    return ConfigError(f"this needs more packages ({error}): pip install 'hmasd-jax[plots]'")

@@ -66,7 +66,7 @@ class WeightsAndBiases:
     """One W&B run per seed, grouped by run folder; `WANDB_MODE=offline` needs no account."""
 
     def __init__(self, run: Path, seed: int, config: dict) -> None:
-        import wandb
+        import wandb  # pyrefly: ignore (an optional package)
 
         self._run = wandb.init(
             dir=str(run_folder.seed_folder(run, seed)),

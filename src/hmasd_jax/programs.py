@@ -81,15 +81,15 @@ def compile_programs(config: TrainConfig, num_seeds: int) -> Programs:
     init = jax.jit(batched(algorithm.init, num_seeds)).lower(keys)
     states = init.out_info
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    programs = [
+    advance_seeds = jax.jit(batched(advance, num_seeds, (0, None)), donate_argnums=0)
+    evaluate_seeds = jax.jit(batched(play, num_seeds, (0, 0)))
+    programs = (
         init.compile(),
-        jax.jit(batched(advance, num_seeds, (0, None)), donate_argnums=0)
-        .lower(states, count)
-        .compile(),
-        jax.jit(batched(play, num_seeds, (0, 0))).lower(states, keys).compile(),
-    ]
+        advance_seeds.lower(states, count).compile(),
+        evaluate_seeds.lower(states, keys).compile(),
+    )
     memory = max(_memory_bytes(program) for program in programs)
-    return Programs(*programs, memory, time.perf_counter() - start)
+    return Programs(*programs, memory_bytes=memory, compile_seconds=time.perf_counter() - start)
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:

@@ -26,6 +26,12 @@ class Text(str):
     __slots__ = ()
 
 
+class Flag(Text):
+    """A name typed without a value: true, where that is possible."""
+
+    __slots__ = ()
+
+
 def check_range(settings: Any, *names: str, low: float = -math.inf, high: float = math.inf) -> None:
     """Insist that the named fields are finite and in [low, high]; for use in `__post_init__`.
 
@@ -79,7 +85,7 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
     """
     if not isinstance(table, Mapping):
         raise ConfigError(f"{path} must be a table of settings, got {table!r}")
-    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}
+    fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # pyrefly: ignore
     hints = get_type_hints(cls)
     for key in table:
         if key not in fields:
@@ -105,6 +111,8 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
     """
     if annotation is Any or isinstance(annotation, TypeVar):
         return value
+    if isinstance(value, Flag) and annotation is not bool:
+        raise ConfigError(f"{path} needs a value")
     if dataclasses.is_dataclass(annotation):
         return from_table(annotation, value, path)
     origin, options = get_origin(annotation), get_args(annotation)

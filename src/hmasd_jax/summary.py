@@ -1,5 +1,6 @@
 """The end of a run: summary.json, a table on the console, and the learning curves."""
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -8,14 +9,14 @@ from rich.console import Console
 from rich.table import Table
 
 from hmasd_jax import logging, run_folder
-from hmasd_jax.config import TrainConfig
+from hmasd_jax.plot import MissingPackageError, plot_runs
 from hmasd_jax.trainer import Event
 
 LAST = 5
 """Evaluations that the summary's main number is a mean of, to even out their noise."""
 
 
-def write(run: Path, config: TrainConfig, results: dict[int, Event]) -> None:
+def write(run: Path, results: dict[int, Event]) -> None:
     """Write RUN/summary.json from the metrics on disk."""
     seeds = {str(index): summarize(run, index) for index in run_folder.seeds_of(run)}
     for index, event in results.items():
@@ -79,11 +80,11 @@ def table(run: Path) -> Table:
 
 def plot(console: Console, run: Path) -> None:
     """Write RUN/curves.png, or say what is missing for it."""
+    metrics = [s["metric"] for s in map(partial(summarize, run), run_folder.seeds_of(run)) if s]
+    if not metrics:
+        return
     try:
-        from hmasd_jax.plot import plot_runs
-
-        plot_runs([run], run / "curves.png")
-    except ImportError as error:
-        console.print(f"no curves.png ({error}): pip install 'hmasd-jax[plots]'", markup=False)
-    else:
-        console.print(f"curves           {run / 'curves.png'}", markup=False)
+        out = plot_runs([run], run / "curves.png", metrics[0])
+        console.print(f"curves: {out}", markup=False, highlight=False, soft_wrap=True)
+    except MissingPackageError as error:
+        console.print(f"no curves.png: {error}", markup=False, soft_wrap=True)

@@ -74,9 +74,18 @@ def run_workers(job: Job, indices: list[int], cores: list[int]) -> dict[int, Eve
 
     A worker that dies takes only its current seed with it; another is started in its place.
     """
-    waiting, results = deque(indices), {}
+    waiting = deque(indices)
     workers = [Worker.start(job, core, waiting.popleft()) for core in cores[: len(indices)]]
-    stopping = False
+    try:
+        return _serve(job, workers, waiting)
+    finally:
+        for worker in workers:  # after an error: at the end of its pipe a worker saves and stops
+            worker.pipe.close()
+
+
+def _serve(job: Job, workers: list[Worker], waiting: deque[int]) -> dict[int, Event]:
+    """Hand out the seeds in `waiting`, and pass events on, until no worker is left."""
+    results, stopping = {}, False
     while workers:
         for worker in _with_news(workers):
             event = _receive(worker)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from hmasd_jax import arguments, config
 from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.config import ENVIRONMENTS, ConfigError
+from hmasd_jax.settings import suggest
 
 
 class Command(NamedTuple):
@@ -40,14 +41,13 @@ def main(words: list[str] | None = None) -> int:
     """Run the command line `words` (those of the process if None); the exit code."""
     words = sys.argv[1:] if words is None else words
     wants_help = any(word in ("-h", "--help") for word in words)
-    name, *rest = [word for word in words if word not in ("-h", "--help")] or [None]
-    if name is None:
+    words = [word for word in words if word not in ("-h", "--help")]
+    if not words:
         print(usage())
         return 0 if wants_help else 2
+    name, rest = words[0], words[1:]
     try:
         if name not in COMMANDS:
-            from hmasd_jax.settings import suggest
-
             raise ConfigError(f"unknown command {name!r}{suggest(name, COMMANDS)}")
         if wants_help:
             return _help(name, rest)
@@ -106,6 +106,9 @@ def _guarded(action: Callable[..., int], *args: Any) -> int:
         return action(*args)
     except (RunError, CheckpointError) as error:
         return _complain(error)
+    except OSError as error:  # above all a full disk
+        print(f"error: {error}; what was saved before stays usable", file=sys.stderr)
+        return 1
 
 
 def _complain(error: Exception) -> int:

@@ -123,10 +123,15 @@ def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:
                 for seed in seeds:
                     locks.enter_context(run_folder.lock(job.run, seed.index))
                 _train_batch(job, seeds, env_steps)
-        except (OSError, run_folder.RunError, checkpoint.CheckpointError) as error:
+        except (run_folder.RunError, checkpoint.CheckpointError) as error:
             for seed in seeds:
                 seed.end("failed", message=str(error))
-    return {seed.index: seed.result for seeds in groups.values() for seed in seeds}
+        except OSError as error:
+            reason = f"cannot write to {job.run}: {error.strerror or error}"
+            for seed in seeds:
+                seed.end("failed", message=f"{reason}; what was saved before stays usable")
+    everyone = [seed for seeds in groups.values() for seed in seeds]
+    return {seed.index: seed.result for seed in everyone if seed.result is not None}
 
 
 def _train_batch(job: Job, seeds: list[Seed], env_steps: int) -> None:
@@ -168,7 +173,7 @@ def _loop(
     while updates < plan.num_updates and not job.should_stop():
         count = plan.next_stop(updates) - updates
         start = time.perf_counter()
-        states, sums, healthy = programs.advance(states, np.int32(count))
+        states, sums, healthy = programs.advance(states, jnp.int32(count))
         healthy = np.asarray(healthy)  # waits for the device
         seconds = time.perf_counter() - start
         updates += count
