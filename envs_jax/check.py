@@ -207,7 +207,7 @@ def _check_episodes(env: Environment, key: jax.Array, num_steps: int) -> None:
     def always(holds: np.ndarray, promise: str, found: str) -> None:
         broken = inside & ~holds.reshape(*inside.shape, -1).all(-1)
         time = broken.any(1).argmax()
-        _require(not broken.any(), env, promise, f"{found} {time} steps into an episode")
+        _require(not broken.any(), env, promise, f"{found} at step {time} of an episode")
 
     always(timesteps.action_mask.any(-1), "each agent must always have a legal action", "none")
     never_both = ~(timesteps.terminated & timesteps.truncated)

@@ -1,0 +1,88 @@
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import pytest
+
+import envs_jax
+from envs_jax import registry
+from envs_jax.alice_and_bob import AliceAndBob
+
+
+@pytest.fixture
+def own_names(monkeypatch):
+    monkeypatch.setattr(registry, "ENVIRONMENTS", dict(registry.ENVIRONMENTS))
+
+
+def test_make_overrides_fields():
+    assert envs_jax.make("alice_and_bob") == AliceAndBob()
+    env = envs_jax.make("alice_and_bob", max_steps=7, observation="one_hot")
+    assert env == AliceAndBob(max_steps=7, observation="one_hot")
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "message"),
+    [
+        ("alice_and_bo", {}, "unknown environment 'alice_and_bo'; did you mean 'alice_and_bob'?"),
+        ("tetris", {}, "unknown environment 'tetris'; choose from alice_and_bob, probe_"),
+        (
+            "alice_and_bob",
+            {"max_step": 3},
+            "alice_and_bob has no field 'max_step'; did you mean 'max_steps'?",
+        ),
+        (
+            "alice_and_bob",
+            {"lives": 3},
+            "alice_and_bob has no field 'lives'; choose from max_steps, observation",
+        ),
+        (
+            "alice_and_bob",
+            {"max_steps": "ten"},
+            "alice_and_bob: max_steps must be of type int, got 'ten'",
+        ),
+        (
+            "alice_and_bob",
+            {"max_steps": True},
+            "alice_and_bob: max_steps must be of type int, got True",
+        ),
+        (
+            "alice_and_bob",
+            {"observation": "onehot"},
+            "alice_and_bob: observation cannot be 'onehot'; did you mean 'one_hot'?",
+        ),
+        ("alice_and_bob", {"max_steps": 0}, "max_steps must be at least 1, got 0"),
+        ("probe_delayed_reward", {"max_steps": 1}, "max_steps must be at least 2, got 1"),
+    ],
+)
+def test_make_says_what_is_wrong(name, overrides, message):
+    with pytest.raises(ValueError) as error:  # noqa: PT011 (the whole message is compared)
+        envs_jax.make(name, **overrides)
+    assert str(error.value).startswith(message)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.usefixtures("own_names")
+def test_register():
+    @dataclass(frozen=True)
+    class Mine:
+        speed: float = 1.0
+
+    envs_jax.register("mine", Mine)
+    envs_jax.register("mine", Mine)  # once more does no harm: notebooks run cells twice
+    assert "mine" in envs_jax.names()
+    assert envs_jax.make("mine", speed=2) == Mine(2)
+    with pytest.raises(ValueError, match=r"'mine' is the name of .*Mine already"):
+        envs_jax.register("mine", AliceAndBob)
+    with pytest.raises(ValueError, match="is a frozen dataclass, got <class 'int'>"):
+        envs_jax.register("number", int)
+
+
+def test_package_stands_alone():
+    """It loads neither the trainer nor slow dependencies, and starts no accelerator."""
+    code = """
+import sys, envs_jax, jax
+loaded = {"hmasd_jax", "distrax", "flax", "optax", "matplotlib"} & set(sys.modules)
+assert not loaded, loaded
+assert not jax._src.xla_bridge._backends, "a module-level array was made"
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
