@@ -64,14 +64,16 @@ class AliceAndBob:
     max_steps: int = 100
     """Time limit of an episode in environment steps."""
     observation: Observation = "codes"
-    """How obs and state are written down; both forms carry the same facts.
+    """How obs and state are written down.
 
     `codes` is the authors' form: obs (11) is the 3x3 patch of integer cell codes around the
     agent and its (row, col); state (100) is the whole board of codes. Codes: 0 empty, 1 wall,
     2/3 agent, 4/5 button, 6/7 diamond (red/blue). `one_hot` writes the same without an
     arbitrary order between codes: obs (29) is own row (8), own column (8), own index (2),
     where in the patch the partner is (9), and whether each diamond is visible in it (2);
-    state (34) is rows and columns of both agents and whether each diamond is collected.
+    state (34) is rows and columns of both agents and whether each diamond is collected. It tells
+    two things more than the codes, which show one thing per cell: whether the diamond under an
+    agent is collected (state), and which of two agents on one cell one is (obs).
     """
 
     num_agents: ClassVar[int] = 2
