@@ -1,0 +1,112 @@
+"""The discriminators: what they see, and Eq. 8 by hand."""
+
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.testing import assert_allclose
+
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.hmasd.discriminators import (
+    Discriminators,
+    SkillPair,
+    discriminator_loss,
+    log_q,
+    log_q_of_skills,
+    make_discriminators,
+)
+from hmasd_jax.ppo import PPOConfig
+
+# Two samples of two agents; skills are Z, z^1, z^2.
+PAIR = SkillPair(
+    state=jnp.array([[1.0, 2.0], [3.0, 4.0]]),
+    obs=jnp.arange(12.0).reshape(2, 2, 3),
+    skills=jnp.array([[0, 2, 0], [1, 1, 1]]),
+)
+Q_TEAM = np.array([[0.8, 0.2], [0.3, 0.7]])
+Q_INDIVIDUAL = np.array([[[0.2, 0.3, 0.5], [0.25, 0.5, 0.25]], [[0.0, 1.0, 0.0], [0.6, 0.1, 0.3]]])
+
+
+def _fixed(seen=None):
+    """Discriminators that answer the tables above and note their inputs."""
+
+    def answer(name, table):
+        def apply(params, x):
+            if seen is not None:
+                seen[name] = x
+            return jnp.log(jnp.asarray(table))
+
+        return SimpleNamespace(apply=apply, num_classes=table.shape[-1])
+
+    return Discriminators(answer("team", Q_TEAM), answer("individual", Q_INDIVIDUAL))
+
+
+PARAMS = {"team": {}, "individual": {}}
+
+
+def test_eq_8_by_hand():
+    # q_D of the skills in use: 0.8, 0.7. q_d: 0.5, 0.25; 1.0, 0.1.
+    #   -(ln 0.8 + ln 0.7) / 2 = 0.289909
+    #   -(ln 0.5 + ln 0.25 + ln 1 + ln 0.1) / 4 = 1.095507, mean over samples and agents
+    loss, metrics = discriminator_loss(PARAMS, _fixed(), PAIR)
+    assert_allclose(metrics["team_loss"], 0.289909, rtol=1e-5)
+    assert_allclose(metrics["individual_loss"], 1.095507, rtol=1e-5)
+    assert_allclose(loss, 0.289909 + 1.095507, rtol=1e-5)
+
+
+def test_values_are_those_of_the_skills_in_use():
+    team, individual, metrics = log_q_of_skills(PARAMS, _fixed(), PAIR)
+    assert_allclose(jnp.exp(team), [0.8, 0.7], rtol=1e-5)
+    assert_allclose(jnp.exp(individual), [[0.5, 0.25], [1.0, 0.1]], rtol=1e-5)
+    # Both team skills lead; of the agents' only the first of each sample.
+    assert_allclose(metrics["team_accuracy"], 1.0)
+    assert_allclose(metrics["individual_accuracy"], 0.5)
+    assert_allclose(metrics["log_q_team"], np.log([0.8, 0.7]).mean(), rtol=1e-5)
+
+
+def test_q_D_sees_the_state_and_q_d_an_observation_with_the_team_skill():  # noqa: N802
+    seen = {}
+    log_q(PARAMS, _fixed(seen), PAIR)
+    np.testing.assert_array_equal(seen["team"], PAIR.state)
+    np.testing.assert_array_equal(seen["individual"][..., :3], PAIR.obs)
+    one_hot = [[[1, 0], [1, 0]], [[0, 1], [0, 1]]]
+    np.testing.assert_array_equal(seen["individual"][..., 3:], one_hot)
+
+
+def _init(**fields):
+    config = HMASDConfig(**fields, ppo=PPOConfig(hidden_size=8))
+    networks = make_discriminators(config)
+    keys = jax.random.split(jax.random.key(0))
+    inputs = {"team": jnp.zeros(2), "individual": jnp.zeros(3 + config.num_team_skills)}
+    init = {n: jax.jit(getattr(networks, n).init)(k, inputs[n]) for n, k in zip(inputs, keys)}
+    return networks, init
+
+
+def test_they_begin_almost_uniform():
+    networks, params = _init(num_team_skills=2, num_skills=3)
+    team, individual = jax.jit(lambda p: log_q(p, networks, PAIR))(params)
+    assert_allclose(team, -np.log(2), atol=0.1)
+    assert_allclose(individual, -np.log(3), atol=0.1)
+    assert_allclose(jnp.exp(individual).sum(-1), 1.0, rtol=1e-5)
+
+
+def test_each_loss_moves_its_own_network_only():
+    networks, params = _init(num_team_skills=2, num_skills=3)
+
+    def gradient_of(name):
+        return jax.jit(
+            jax.grad(lambda p: discriminator_loss(p, networks, PAIR)[1][f"{name}_loss"])
+        )(params)
+
+    for name, other in (("team", "individual"), ("individual", "team")):
+        grads = gradient_of(name)
+        assert any((g != 0).any() for g in jax.tree.leaves(grads[name]))
+        assert all((g == 0).all() for g in jax.tree.leaves(grads[other]))
+
+
+def test_a_single_team_skill_costs_and_teaches_nothing():
+    networks, params = _init(num_team_skills=1, num_skills=3)
+    pair = PAIR._replace(skills=PAIR.skills.at[:, 0].set(0))
+    team, _, _ = log_q_of_skills(params, networks, pair)
+    np.testing.assert_array_equal(team, 0.0)
