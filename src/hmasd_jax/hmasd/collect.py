@@ -236,6 +236,6 @@ def check_skills(
         raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
     for token, (skill, count) in enumerate(zip(skills, counts)):
         if skill is not None and not 0 <= skill < count:
-            name = f"skill of agent {token - 1}" if token else "team skill"
+            name = f"skill of agent {token}" if token else "team skill"
             raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
     return tuple(skills)
