@@ -9,7 +9,10 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import tyro
+from tyro.conf import Positional
 
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.settings import ConfigError, Flag, Text, check_range, from_table, suggest
@@ -48,7 +51,7 @@ class TrainOptions(SweepOptions):
 class EvaluateOptions:
     """Which policies to play, and how often."""
 
-    run: Path
+    run: Annotated[Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Folder of a finished or running run."""
     episodes: int | None = None
     """Episodes per seed; without it, as many as in the run's own evaluations."""
@@ -64,7 +67,7 @@ class EvaluateOptions:
 class RenderOptions:
     """Which episode to draw."""
 
-    run: Path
+    run: Annotated[Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Folder of a finished or running run."""
     out: Path
     """GIF to write."""
@@ -88,7 +91,7 @@ class RenderOptions:
 class PlotOptions:
     """What to plot."""
 
-    runs: tuple[Path, ...]
+    runs: Annotated[Positional[tuple[Path, ...]], tyro.conf.arg(metavar="RUN [RUN ...]")]
     """Folders of runs; each is one curve with a band over its seeds."""
     out: Path = Path("curves.png")
     """Image to write."""
@@ -151,15 +154,13 @@ def refuse_overrides(cls: type, overrides: dict[str, Text]) -> None:
 
 def write_help(command: str, summary: str, cls: type, settings: TrainConfig | None) -> None:
     """Print the help of a command: its options, and settings with their current values."""
-    import tyro
-
-    conf = tyro.conf
-    fields: list[Any] = [("options", conf.OmitArgPrefixes[conf.FlagCreatePairsOff[cls]])]
+    no_prefix = tyro.conf.arg(name="")
+    fields: list[Any] = [("options", Annotated[tyro.conf.FlagCreatePairsOff[cls], no_prefix])]
     required = {f.name: tyro.MISSING for f in dataclasses.fields(cls) if _is_required(f)}
     defaults: dict[str, Any] = {"options": cls(**required)}
     if settings is not None:
         types = TrainConfig[type(settings.env), type(settings.algorithm)]  # pyrefly: ignore
-        fields.append(("settings", conf.OmitArgPrefixes[conf.FlagConversionOff[types]]))
+        fields.append(("settings", Annotated[tyro.conf.FlagConversionOff[types], no_prefix]))
         defaults["settings"] = settings
     arguments = dataclasses.make_dataclass("Arguments", fields, frozen=True)
     with contextlib.suppress(SystemExit):
