@@ -111,6 +111,8 @@ def test_errors_are_one_line(run, tmp_path):
     with pytest.raises(RunError, match="wait for its first one"):
         plot.plot_runs([empty], out)
     assert not out.exists()
+    with pytest.raises(RunError, match=r"cannot write .*x.strange: Format 'strange' is not supp"):
+        plot.plot_runs([run], tmp_path / "x.strange")
 
 
 def test_missing_package_names_the_command(run, tmp_path, monkeypatch):

@@ -72,7 +72,8 @@ def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
 
     Raises:
         MissingPackageError: matplotlib is not installed.
-        RunError: a folder is not one of a run, or has no evaluation of that name yet.
+        RunError: a folder is not one of a run, or has no evaluation of that name yet, or `out`
+            cannot be written.
     """
     require("matplotlib")
     runs = [Path(run) for run in runs]
@@ -94,7 +95,7 @@ def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
     if panels:
         _explain_styles(side[0])
         side[-1].set_xlabel("environment steps", fontsize=8)
-    return _save(figure, out)
+    return save(figure, out)
 
 
 def plot_result(result: Path, out: Path, reference: Reference | None = None) -> Path:
@@ -122,7 +123,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     if reference is not None:
         _draw_reference(axes, reference, steps[-1])
     _finish(axes, Path(result).parent.name, record["metric"], legend=True)
-    return _save(figure, out)
+    return save(figure, out)
 
 
 def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
@@ -273,8 +274,18 @@ def _known_metrics(run: Path) -> str:
     return "wait for its first one"
 
 
-def _save(figure: "Figure", out: Path) -> Path:
+def save(figure: "Figure", out: Path) -> Path:
+    """Write a figure in the format of the suffix.
+
+    Raises:
+        RunError: it cannot be written.
+    """
     out = Path(out)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(out)
+    except (OSError, ValueError) as error:  # the latter for a format it does not know
+        raise RunError(
+            f"cannot write {out}: {getattr(error, 'strerror', None) or error}"
+        ) from error
     return out

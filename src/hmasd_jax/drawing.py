@@ -1,0 +1,108 @@
+"""One frame of an episode: what the environment draws, and below it the skills in use.
+
+The border of the picture has the color of the team skill Z; each agent's label has the color of
+its individual skill z^i. An environment may have `agent_names`, and `agent_colors` (RGB) that mark
+whose label it is.
+"""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from envs_jax import Environment
+
+SKILL_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
+TEAM_COLORS = ("#4B3F8F", "#A8820A", "#2D6A6A", "#8C2F39", "#3D5A1E", "#6B4226", "#1F1F1F")
+INK, FAINT, PAPER = "#1E1E1E", "#808080", "#FFFFFF"
+WON, LOST = "#1B7F3B", "#B3261E"
+
+BORDER = 6
+MIN_WIDTH = 320
+"""Pixels; narrower pictures are enlarged by a whole factor, so that the caption fits."""
+FONT_SIZE = 14
+LINE = 24
+"""Height of a line of the caption, in pixels."""
+
+Agent = tuple[str, tuple[int, int, int] | None]
+"""Name, and color in the picture if known."""
+
+
+class Chip(NamedTuple):
+    """A token's label."""
+
+    label: str
+    color: str
+    dot: tuple[int, int, int] | None
+    left: float
+    right: float
+
+
+def describe_agents(env: Environment) -> list[Agent]:
+    """What the environment tells about its agents, else their numbers."""
+    numbers = range(env.num_agents)
+    names = getattr(env, "agent_names", [f"agent {i + 1}" for i in numbers])
+    return list(zip(names, getattr(env, "agent_colors", [None for _ in numbers])))
+
+
+def draw_frame(
+    picture: np.ndarray,
+    texts: tuple[str, str],
+    color: str,
+    skills: np.ndarray | None,
+    agents: Sequence[Agent],
+) -> np.ndarray:
+    """Frame `picture` in the color of Z; below it, texts left and right, and a chip per skill."""
+    from PIL import Image, ImageDraw
+
+    factor = -(-MIN_WIDTH // picture.shape[1])
+    picture = picture.repeat(factor, 0).repeat(factor, 1)
+    height, width = picture.shape[0] + 2 * BORDER, picture.shape[1] + 2 * BORDER
+    rows = _arrange(skills, agents, width)
+    total = height + LINE * (1 + len(rows)) + BORDER
+    # Even sizes: video formats take no others.
+    image = Image.new("RGB", (width + width % 2, total + total % 2), PAPER)
+    draw = ImageDraw.Draw(image)
+    edge = INK if skills is None else TEAM_COLORS[skills[0] % len(TEAM_COLORS)]
+    draw.rectangle((0, 0, width - 1, height - 1), fill=edge)
+    image.paste(Image.fromarray(picture), (BORDER, BORDER))
+    middle = height + LINE / 2
+    draw.text((BORDER, middle), texts[0], color, _font(), anchor="lm")
+    draw.text((width - BORDER, middle), texts[1], FAINT, _font(), anchor="rm")
+    for row, chips in enumerate(rows):
+        top = height + LINE * (1 + row)
+        for label, fill, dot, left, right in chips:
+            draw.rounded_rectangle((left, top + 2, right, top + LINE - 2), 5, fill=fill)
+            draw.text((right - 6, top + LINE / 2), label, PAPER, _font(), anchor="rm")
+            if dot is not None:
+                draw.circle((left + 12, top + LINE / 2), 6, dot, PAPER)
+    return np.asarray(image)
+
+
+def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> list[list[Chip]]:
+    """Rows of chips, one chip per token, as many as fit in a row."""
+    if skills is None:
+        return []
+    rows: list[list[Chip]] = [[]]
+    left = float(BORDER)
+    for token, skill in enumerate(map(int, skills)):
+        colors = SKILL_COLORS if token else TEAM_COLORS
+        name, dot = agents[token - 1] if token else ("team", None)
+        label = f"{name} {'z' if token else 'Z'} = {skill}"
+        size = _font().getlength(label) + (12 if dot is None else 28)
+        if left + size > width - BORDER and rows[-1]:
+            rows.append([])
+            left = float(BORDER)
+        rows[-1].append(Chip(label, colors[skill % len(colors)], dot, left, left + size))
+        left += size + 6
+    return rows
+
+
+@lru_cache
+def _font():
+    """The sans-serif font that comes with matplotlib, the same on every machine."""
+    import matplotlib
+    from PIL import ImageFont
+
+    return ImageFont.truetype(f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf", FONT_SIZE)
