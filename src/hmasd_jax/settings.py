@@ -42,10 +42,8 @@ def check_range(settings: Any, *names: str, low: float = -math.inf, high: float 
         value = getattr(settings, name)
         if math.isfinite(value) and low <= value <= high:
             continue
-        if math.isfinite(low) and math.isfinite(high):
-            wanted = f"between {low} and {high}"
-        else:
-            wanted = f"at least {low}" if math.isfinite(low) else "finite"
+        wanted = f"at least {low}" if math.isinf(high) else f"between {low} and {high}"
+        wanted = wanted if math.isfinite(value) else "finite"
         raise ValueError(f"{name} must be {wanted}, got {value}")
 
 

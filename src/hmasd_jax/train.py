@@ -90,8 +90,10 @@ def _run(name: str, words: list[str]) -> int:
         return _guarded(action, options)
     if options.resume and options.run_dir is None:
         raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
-    default = options.run_dir / "config.json" if options.resume else None
-    settings = config.load(options.config or default, overrides)
+    saved = options.run_dir / "config.json" if options.resume else None
+    if saved and not saved.is_file():
+        raise ConfigError(f"{options.run_dir} is not a run folder: it has no config.json")
+    settings = config.load(options.config or saved, overrides)
     from hmasd_jax import experiment
 
     return _guarded(getattr(experiment, name), settings, options, words)
