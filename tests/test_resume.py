@@ -50,12 +50,22 @@ def numbers(run, seed):
     return [{k: v for k, v in record.items() if k not in CLOCKS} for record in records]
 
 
-def start(command, run, *more):
-    """The toy's command line in a process group of its own."""
-    line = [sys.executable, str(TOY), command, "--run-dir", str(run), *more]
-    return subprocess.Popen(
-        line, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True
-    )
+@pytest.fixture
+def start():
+    """`start(command, run, *words)`: the toy's command line in a process group of its own."""
+    processes = []
+
+    def start(command, run, *more):
+        line = [sys.executable, str(TOY), command, "--run-dir", str(run), *more]
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        processes.append(subprocess.Popen(line, start_new_session=True, **options))
+        return processes[-1]
+
+    yield start
+    for process in processes:  # only a failed test leaves anything to kill
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
 
 
 def wait_until(condition, process, seconds=120):
@@ -78,7 +88,7 @@ def assert_same_state(one, other):
         np.testing.assert_array_equal(data(ours), data(theirs))
 
 
-def test_killed_at_any_moment_and_resumed_is_as_never_killed(tmp_path):
+def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
     """kill -9 soon after a checkpoint has appeared: the next moments are full of writes."""
     total = 80 * 25
     killed, whole = tmp_path / "killed", tmp_path / "whole"
@@ -140,7 +150,7 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
     assert int(load_run(two).state.num_updates) == 4
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
+def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     run = tmp_path / "run"
     process = start("train", run, *words(total_env_steps=ENDLESS))
     wait_until(lambda: latest(run, 0) > 0, process)
@@ -155,7 +165,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(tmp_path):
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
 
 
-def test_workers_outlive_one_of_them_and_save_on_ctrl_c(tmp_path):
+def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     run = tmp_path / "run"
     process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=2))
     wait_until(lambda: latest(run, 0) > 0 and latest(run, 1) > 0, process)
@@ -177,7 +187,7 @@ def test_workers_outlive_one_of_them_and_save_on_ctrl_c(tmp_path):
         assert not Path(f"/proc/{pid}").exists()
 
 
-def test_workers_stop_when_the_parent_is_gone(tmp_path):
+def test_workers_stop_when_the_parent_is_gone(start, tmp_path):
     run = tmp_path / "run"
     process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=1))
     wait_until(lambda: latest(run, 0) > 0, process)

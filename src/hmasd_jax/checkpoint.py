@@ -16,7 +16,7 @@ import logging
 import shutil
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -232,8 +232,16 @@ def _manager(folder: Path, **options: Any) -> Iterator[ocp.CheckpointManager]:
     when a run is killed.
     """
     settings = ocp.CheckpointManagerOptions(enable_async_checkpointing=False, **options)
-    with ocp.CheckpointManager(Path(folder).absolute(), options=settings) as manager:
+    with _open(Path(folder).absolute(), settings) as manager:
         yield manager
+
+
+def _open(folder: Path, settings: ocp.CheckpointManagerOptions) -> ocp.CheckpointManager:
+    """Try again if a training process deletes an old checkpoint while orbax lists them all."""
+    for _ in range(10):
+        with suppress(FileNotFoundError):
+            return ocp.CheckpointManager(folder, options=settings)
+    return ocp.CheckpointManager(folder, options=settings)
 
 
 def _path(folder: Path, step: int) -> Path:
