@@ -32,7 +32,7 @@ def _parts(bootstrap_truncation=False, num_envs=1, **fields):
         assert method == "encode"
         return None, state + jnp.array([20.0, 21.0])
 
-    def critic(params, memory, state, first, team_skill):
+    def critic(params, memory, state, first, team_skill, method):
         memory = jnp.where(first[0][..., None], 0.0, memory)
         value = state[0] + 10 * team_skill[0].argmax(-1, keepdims=True) + 100 * memory
         return memory, value[None]

@@ -212,7 +212,7 @@ def test_eq_6_by_hand():
     #   L_h = -1.7 + 1 * 0.25 - 0.1 * 0.627741
     logits = jnp.log(jnp.array([[[0.5, 0.5], [0.25, 0.75]]]))
     values = jnp.array([[1.0, 2.0]])
-    network = SimpleNamespace(apply=lambda params, state, obs, skills: (logits, values))
+    network = SimpleNamespace(apply=lambda params, *_, method: (logits, values))
     old = Assignment(jnp.array([[0, 1]]), jnp.log(jnp.array([[0.5, 0.5]])), values)
     batch = HighBatch(
         jnp.zeros((1, 1)), jnp.zeros((1, 1, 1)), old, jnp.array([[1.0, 2.0]]), jnp.array([[5, 9]])

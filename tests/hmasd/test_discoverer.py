@@ -44,7 +44,7 @@ def _networks(probability, value, seen=None):
     """Networks that answer the given numbers and note what they were asked."""
 
     def answer(name, numbers):
-        def apply(params, memory, x, first, condition):
+        def apply(params, memory, x, first, condition, method):
             if seen is not None:
                 seen[name] = (memory, x, first, condition)
             return memory, jnp.asarray(numbers)
