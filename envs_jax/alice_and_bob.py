@@ -78,6 +78,8 @@ class AliceAndBob:
 
     num_agents: ClassVar[int] = 2
     num_actions: ClassVar[int] = len(MOVES)
+    agent_names: ClassVar[tuple[str, ...]] = ("Alice", "Bob")
+    agent_colors: ClassVar[tuple] = (COLORS["alice"], COLORS["bob"])
 
     def __post_init__(self) -> None:
         if self.max_steps < 1:

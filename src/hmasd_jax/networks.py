@@ -1,6 +1,6 @@
 """Building blocks with PyTorch's defaults: the networks of MAPPO (on-policy, `r_actor_critic`)."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -108,6 +108,11 @@ class RecurrentNet(nn.Module):
         if condition is not None and self.condition_at == "last_layer":
             x = jnp.concatenate([x, condition], axis=-1)
         return memory, dense(self.num_outputs, self.gain, name="head")(x)
+
+
+def apply(network: nn.Module, params: dict, *inputs: Any, method: str | None = None) -> Any:
+    """`network.apply` typed as what the network returns, rather than as all flax may return."""
+    return network.apply(params, *inputs, method=method)
 
 
 def mask_logits(

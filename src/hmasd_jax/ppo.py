@@ -20,6 +20,9 @@ class PPOConfig:
     """T, environment steps per copy between two updates ("episode length" of Table 2)."""
     learning_rate: float = 5e-4
     """Adam's step size, for every network."""
+    decay_updates: int = 0
+    """Updates (rollouts) over which the step size falls linearly to 0; 0 keeps it constant, as the
+    paper does."""
     adam_epsilon: float = 1e-5
     """Added to the denominator of Adam."""
     max_grad_norm: float = 10.0
@@ -49,6 +52,7 @@ class PPOConfig:
     def __post_init__(self) -> None:
         counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches", "hidden_size")
         check_range(self, *counts, "sequence_length", low=1)
+        check_range(self, "decay_updates", low=0)
         check_range(self, "learning_rate", "adam_epsilon", "max_grad_norm", "clip_epsilon", low=0)
         check_range(self, "value_coef", "huber_delta", low=0)
         check_range(self, "discount", "gae_lambda", low=0, high=1)

@@ -1,6 +1,6 @@
 """Optimization: one gradient step, and epochs of shuffled minibatches."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
 
 import jax
@@ -16,17 +16,28 @@ Batch = TypeVar("Batch")
 LossFn = Callable[..., tuple[Float[Array, ""], Metrics]]
 
 
-def make_optimizer(config: PPOConfig, networks: Sequence[str]) -> optax.GradientTransformation:
+def make_optimizer(
+    config: PPOConfig, networks: Sequence[str], steps_per_update: int | None = None
+) -> optax.GradientTransformation:
     """Adam after clipping each network's gradient by its own norm.
 
     Args:
         config: learning rate, Adam's epsilon and the norm to clip at.
         networks: top-level names in the parameters; each is clipped apart from the others.
+        steps_per_update: gradient steps per rollout, for the schedule; those of PPO if None.
     """
-    clip = {name: optax.clip_by_global_norm(config.max_grad_norm) for name in networks}
+    clip: dict[Hashable, optax.GradientTransformation] = {
+        name: optax.clip_by_global_norm(config.max_grad_norm) for name in networks
+    }
+    step_size: optax.ScalarOrSchedule = config.learning_rate
+    if config.decay_updates:
+        per_update = steps_per_update or config.num_epochs * config.num_minibatches
+        step_size = optax.linear_schedule(
+            config.learning_rate, 0.0, config.decay_updates * per_update
+        )
     return optax.chain(
         optax.partition(clip, {name: name for name in networks}),
-        optax.adam(config.learning_rate, eps=config.adam_epsilon),
+        optax.adam(step_size, eps=config.adam_epsilon),
     )
 
 

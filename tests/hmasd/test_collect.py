@@ -9,8 +9,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
-from hmasd_jax.hmasd.collect import collect, make_policy, read_clock
+from hmasd_jax.hmasd.collect import collect, read_clock
 from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.hmasd.policy import make_policy
 
 
 def test_the_rollouts_clock_ignores_episodes_and_the_episodes_clock_restarts_with_them():

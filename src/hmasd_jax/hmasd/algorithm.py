@@ -16,13 +16,13 @@ from hmasd_jax.hmasd.collect import (
     RolloutMemory,
     collect,
     init_rollout_memory,
-    make_policy,
 )
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
 from hmasd_jax.hmasd.discriminators import discriminator_loss, log_q_of_skills
 from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
+from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.sgd import gradient_step, sgd_epochs
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy

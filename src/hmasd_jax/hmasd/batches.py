@@ -13,6 +13,7 @@ from hmasd_jax.hmasd.discoverer import DiscovererMemory, LowBatch, state_value
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.hmasd.rewards import high_level_reward
+from hmasd_jax.networks import apply
 from hmasd_jax.types import Key
 from hmasd_jax.value_norm import ValueNorm, denormalize
 
@@ -64,7 +65,7 @@ def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
     next_value = _and_after(extras.assignment.value, rollout.next_assignment.value)
     terminated = outcome.done
     if parts.config.ppo.bootstrap_truncation:
-        _, value = parts.coordinator.apply(params, outcome.state, outcome.obs, method="encode")
+        _, value = apply(parts.coordinator, params, outcome.state, outcome.obs, method="encode")
         next_value = jnp.where(outcome.truncated[..., None], value, next_value)
         terminated = outcome.terminated
     return Segments(
@@ -166,21 +167,19 @@ def low_batch(
     )
     begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.low)
     memory = DiscovererMemory(*flatten(tuple(begin)))
-    sequences = LowBatch(
-        memory=None,
-        first=transitions.first,
-        obs=transitions.timestep.obs,
-        state=transitions.timestep.state,
-        action_mask=transitions.timestep.action_mask,
-        skills=skills,
-        action=transitions.action,
-        log_prob=extras.log_prob,
-        value=extras.value,
-        advantage=normalize_advantage(advantage),
-        target=target,
-    )
-    sequences = jax.tree.map(lambda x: _cut(x, ppo.sequence_length), sequences)
-    return sequences._replace(memory=memory)
+    steps = {
+        "first": transitions.first,
+        "obs": transitions.timestep.obs,
+        "state": transitions.timestep.state,
+        "action_mask": transitions.timestep.action_mask,
+        "skills": skills,
+        "action": transitions.action,
+        "log_prob": extras.log_prob,
+        "value": extras.value,
+        "advantage": normalize_advantage(advantage),
+        "target": target,
+    }
+    return LowBatch(memory, **{name: _cut(x, ppo.sequence_length) for name, x in steps.items()})
 
 
 def _cut(x: Array, length: int) -> Array:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import distrax
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
@@ -18,7 +19,7 @@ from hmasd_jax.hmasd.discoverer import (
 )
 from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.rollout import unroll
-from hmasd_jax.types import EnvCarry, Key, Policy, StepFn, Transition
+from hmasd_jax.types import EnvCarry, Key, StepFn, Transition
 
 
 class RolloutMemory(NamedTuple):
@@ -62,10 +63,12 @@ class Rollout(NamedTuple):
 def init_rollout_memory(num_envs: int, num_agents: int, hidden_size: int) -> RolloutMemory:
     """Memory before the first rollout; the first step draws skills."""
     low = init_memory((num_envs,), num_agents, hidden_size)
-    return RolloutMemory(low, _blank((num_envs, 1 + num_agents)), jnp.zeros(num_envs, int))
+    return RolloutMemory(
+        low, blank_assignment((num_envs, 1 + num_agents)), jnp.zeros(num_envs, int)
+    )
 
 
-def _blank(shape: tuple[int, ...]) -> Assignment:
+def blank_assignment(shape: tuple[int, ...]) -> Assignment:
     """No skills yet."""
     return Assignment(jnp.zeros(shape, int), jnp.zeros(shape), jnp.zeros(shape))
 
@@ -112,18 +115,11 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
         clock, renewed = read_clock(config, memory.clock, first)
-        assignment = _renew(
+        assignment = renew(
             parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy=False
         )
-        actor, distribution = action_distribution(
-            parts.discoverer.actor,
-            discoverer["actor"],
-            memory.low.actor,
-            timestep.obs[None],
-            timestep.action_mask[None],
-            assignment.individual_skills[None],
-            first[None],
-            config.num_skills,
+        actor, distribution = act(
+            parts, discoverer, memory.low.actor, timestep, assignment.individual_skills, first
         )
         critic, value = state_value(
             parts.discoverer.critic,
@@ -135,15 +131,37 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
             config.num_team_skills,
         )
         action = distribution.sample(seed=key_act)
-        log_prob = distribution.log_prob(action)[0]
+        log_prob = jnp.asarray(distribution.log_prob(action))
         extras = Extras(memory.low, log_prob, value[0], assignment, renewed)
         memory = RolloutMemory(DiscovererMemory(actor, critic), assignment, clock + 1)
-        return memory, action[0], extras
+        return memory, action, extras
 
     return step_fn
 
 
-def _renew(
+def act(
+    parts: Parts,
+    params: dict,
+    memory: Float[Array, "*batch N hidden"],
+    timestep: TimeStep,
+    skills: Int[Array, "*batch N"],
+    first: Bool[Array, "*batch"],
+) -> tuple[Float[Array, "*batch N hidden"], distrax.Categorical]:
+    """pi_l(.|o^i, z^i) at a single step."""
+    memory, distribution = action_distribution(
+        parts.discoverer.actor,
+        params["actor"],
+        memory,
+        timestep.obs[None],
+        timestep.action_mask[None],
+        skills[None],
+        first[None],
+        parts.config.num_skills,
+    )
+    return memory, distribution[0]
+
+
+def renew(
     parts: Parts,
     params: dict,
     current: Assignment,
@@ -163,79 +181,3 @@ def _renew(
         )
 
     return jax.lax.cond(renewed.any(), draw, lambda: current)
-
-
-class PolicyMemory(NamedTuple):
-    """What HMASD remembers while it acts."""
-
-    actor: Float[Array, "*batch N hidden"]
-    assignment: Assignment
-    clock: Int[Array, "*batch"]
-    """Steps taken in this episode."""
-
-
-def make_policy(
-    parts: Parts,
-    coordinator: dict,
-    discoverer: dict,
-    greedy: bool,
-    skills: Sequence[int | None] | None = None,
-) -> Policy:
-    """Execution (end of Sec. 3.2): new skills at episode steps 0, k, 2k, ..; extras: the skills.
-
-    Args:
-        parts: networks and settings.
-        coordinator: parameters.
-        discoverer: parameters.
-        greedy: whether skills and actions are the most probable ones, or sampled.
-        skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to look at what
-            was learned; it still chooses those that are None, given those before them.
-
-    Raises:
-        ValueError: wrong number of skills, or a skill that does not exist.
-    """
-    config, num_agents = parts.config, parts.env.num_agents
-    fixed = check_skills(parts, skills)
-
-    def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
-        memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
-        blank = _blank((*batch_shape, 1 + num_agents))
-        return PolicyMemory(memory.actor, blank, jnp.zeros(batch_shape, int))
-
-    def step(memory: PolicyMemory, timestep: TimeStep, first: Bool[Array, "*batch"], key: Key):
-        key_assign, key_act = jax.random.split(key)
-        clock = jnp.where(first, 0, memory.clock)
-        renewed = clock % config.skill_interval == 0
-        assignment = _renew(
-            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, fixed
-        )
-        actor, distribution = action_distribution(
-            parts.discoverer.actor,
-            discoverer["actor"],
-            memory.actor,
-            timestep.obs[None],
-            timestep.action_mask[None],
-            assignment.individual_skills[None],
-            first[None],
-            config.num_skills,
-        )
-        action = distribution.mode() if greedy else distribution.sample(seed=key_act)
-        return PolicyMemory(actor, assignment, clock + 1), action[0], assignment.skills
-
-    return Policy(init, step)
-
-
-def check_skills(
-    parts: Parts, skills: Sequence[int | None] | None
-) -> tuple[int | None, ...] | None:
-    """`skills` as a tuple, if there is one per token and each exists or is None."""
-    if skills is None:
-        return None
-    counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents
-    if len(skills) != len(counts):
-        raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
-    for token, (skill, count) in enumerate(zip(skills, counts)):
-        if skill is not None and not 0 <= skill < count:
-            name = f"skill of agent {token}" if token else "team skill"
-            raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
-    return tuple(skills)

@@ -14,7 +14,7 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RELU_GAIN, dense, layer_norm, mask_logits
+from hmasd_jax.networks import RELU_GAIN, apply, dense, layer_norm, mask_logits
 from hmasd_jax.ppo import ppo_loss
 from hmasd_jax.transformer import DecoderBlock, EncoderBlock, Head, gelu
 from hmasd_jax.types import Key, Metrics
@@ -143,7 +143,7 @@ def assign(
 
     Tokens with a skill in `fixed` (tokens,) get that one; the others are drawn given it.
     """
-    encoded, value = network.apply(params, state, obs, method="encode")
+    encoded, value = apply(network, params, state, obs, method="encode")
     blank = jnp.zeros(value.shape, int)
     if fixed is not None:
         is_fixed = jnp.array([skill is not None for skill in fixed])
@@ -151,7 +151,7 @@ def assign(
 
     def draw(skills, inputs):
         token, key = inputs
-        logits = network.apply(params, encoded, skills, method="decode")
+        logits = apply(network, params, encoded, skills, method="decode")
         distribution = distrax.Categorical(logits=jnp.take(logits, token, axis=-2))
         skill = distribution.mode() if greedy else distribution.sample(seed=key)
         if fixed is not None:
@@ -178,10 +178,10 @@ def coordinator_loss(
     tokens is a mean (equal weights either way).
     """
     skills = batch.assignment.skills
-    logits, value = network.apply(params, batch.state, batch.obs, skills)
+    logits, value = apply(network, params, batch.state, batch.obs, skills)
     distribution = distrax.Categorical(logits=logits)
     loss, metrics = ppo_loss(
-        distribution.log_prob(skills),
+        jnp.asarray(distribution.log_prob(skills)),
         batch.assignment.log_prob,
         batch.advantage,
         value,
@@ -189,6 +189,6 @@ def coordinator_loss(
         normalize(norm, batch.target),
         config.ppo,
     )
-    entropy = distribution.entropy()
+    entropy = jnp.asarray(distribution.entropy())
     metrics |= {"team_entropy": entropy[..., 0].mean(), "skill_entropy": entropy[..., 1:].mean()}
     return loss - config.high_entropy_coef * entropy.mean(), metrics

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RecurrentNet, mask_logits
+from hmasd_jax.networks import RecurrentNet, apply, mask_logits
 from hmasd_jax.ppo import ppo_loss
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Metrics
@@ -78,7 +78,7 @@ def action_distribution(
     """pi_l(a^i|o^i, z^i) at every step; an agent sees its own skill, not the team's."""
     first = jnp.broadcast_to(first[..., None], skills.shape)
     skills = jax.nn.one_hot(skills, num_skills)
-    memory, logits = network.apply(params, memory, obs, first, skills)
+    memory, logits = apply(network, params, memory, obs, first, skills)
     return memory, distrax.Categorical(logits=mask_logits(logits, action_mask))
 
 
@@ -93,7 +93,7 @@ def state_value(
 ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch"]]:
     """V_l(s, Z) in normalized units, once per copy: its inputs are the same for all agents."""
     team_skill = jax.nn.one_hot(team_skill, num_team_skills)
-    memory, value = network.apply(params, memory, state, first, team_skill)
+    memory, value = apply(network, params, memory, state, first, team_skill)
     return memory, value[..., 0]
 
 
@@ -105,13 +105,12 @@ def discoverer_loss(
     As in the authors' code the sums over agents are means. The one V_l(s, Z) is fitted to the
     returns of all agents.
     """
-    memory = batch.memory
     # (S, L, ...) -> (L, S, ...): recurrent networks run over the first axis.
-    batch = jax.tree.map(lambda x: x.swapaxes(0, 1), batch._replace(memory=None))
+    batch = LowBatch(batch.memory, *(x.swapaxes(0, 1) for x in batch[1:]))
     _, distribution = action_distribution(
         networks.actor,
         params["actor"],
-        memory.actor,
+        batch.memory.actor,
         batch.obs,
         batch.action_mask,
         batch.skills[..., 1:],
@@ -121,14 +120,14 @@ def discoverer_loss(
     _, value = state_value(
         networks.critic,
         params["critic"],
-        memory.critic,
+        batch.memory.critic,
         batch.state,
         batch.skills[..., 0],
         batch.first,
         config.num_team_skills,
     )
     loss, metrics = ppo_loss(
-        distribution.log_prob(batch.action),
+        jnp.asarray(distribution.log_prob(batch.action)),
         batch.log_prob,
         batch.advantage,
         value[..., None],

@@ -8,7 +8,7 @@ from flax import linen as nn
 from jaxtyping import Array, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import MLP, dense
+from hmasd_jax.networks import MLP, apply, dense
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Metrics
 
@@ -57,11 +57,11 @@ def log_q(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch team_skills"], Float[Array, "*batch N skills"]]:
     """Log-probabilities log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
-    team = networks.team.apply(params["team"], pair.state)
+    team = apply(networks.team, params["team"], pair.state)
     team_skill = jax.nn.one_hot(pair.skills[..., :1], networks.team.num_classes)
     team_skill = jnp.broadcast_to(team_skill, (*pair.obs.shape[:-1], team_skill.shape[-1]))
     inputs = jnp.concatenate([pair.obs, team_skill], axis=-1)
-    return team, networks.individual.apply(params["individual"], inputs)
+    return team, apply(networks.individual, params["individual"], inputs)
 
 
 def log_q_of_skills(

@@ -31,15 +31,18 @@ class Parts:
 
 def make_parts(env: Environment, config: HMASDConfig) -> Parts:
     """Build networks and optimizers; nothing is initialized yet."""
+    ppo = config.ppo
     return Parts(
         env=env,
         config=config,
         coordinator=make_coordinator(config),
         discoverer=make_discoverer(env, config),
         discriminators=make_discriminators(config),
-        coordinator_optimizer=make_optimizer(config.ppo, ["params"]),
-        discoverer_optimizer=make_optimizer(config.ppo, Discoverer._fields),
-        discriminator_optimizer=make_optimizer(config.ppo, Discriminators._fields),
+        coordinator_optimizer=make_optimizer(ppo, ["params"]),
+        discoverer_optimizer=make_optimizer(ppo, Discoverer._fields),
+        discriminator_optimizer=make_optimizer(
+            ppo, Discriminators._fields, config.discriminator_epochs
+        ),
     )
 
 

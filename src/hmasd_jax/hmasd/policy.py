@@ -1,0 +1,84 @@
+"""Execution: what a trained HMASD does (end of Sec. 3.2)."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax import TimeStep
+from hmasd_jax.hmasd.collect import act, blank_assignment, renew
+from hmasd_jax.hmasd.coordinator import Assignment
+from hmasd_jax.hmasd.discoverer import init_memory
+from hmasd_jax.hmasd.parts import Parts
+from hmasd_jax.types import Key, Policy
+
+
+class PolicyMemory(NamedTuple):
+    """What HMASD remembers while it acts."""
+
+    actor: Float[Array, "*batch N hidden"]
+    assignment: Assignment
+    clock: Int[Array, "*batch"]
+    """Steps taken in this episode."""
+
+
+def make_policy(
+    parts: Parts,
+    coordinator: dict,
+    discoverer: dict,
+    greedy: bool,
+    skills: Sequence[int | None] | None = None,
+) -> Policy:
+    """New skills at episode steps 0, k, 2k, ..; a step's extras are the skills in use.
+
+    Args:
+        parts: networks and settings.
+        coordinator: parameters.
+        discoverer: parameters.
+        greedy: whether skills and actions are the most probable ones, or sampled.
+        skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to look at what
+            was learned; it still chooses those that are None, given those before them.
+
+    Raises:
+        ValueError: wrong number of skills, or a skill that does not exist.
+    """
+    config, num_agents = parts.config, parts.env.num_agents
+    fixed = check_skills(parts, skills)
+
+    def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
+        memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
+        blank = blank_assignment((*batch_shape, 1 + num_agents))
+        return PolicyMemory(memory.actor, blank, jnp.zeros(batch_shape, int))
+
+    def step(memory: PolicyMemory, timestep: TimeStep, first: Bool[Array, "*batch"], key: Key):
+        key_assign, key_act = jax.random.split(key)
+        clock = jnp.where(first, 0, memory.clock)
+        renewed = clock % config.skill_interval == 0
+        assignment = renew(
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, fixed
+        )
+        actor, distribution = act(
+            parts, discoverer, memory.actor, timestep, assignment.individual_skills, first
+        )
+        action = distribution.mode() if greedy else distribution.sample(seed=key_act)
+        return PolicyMemory(actor, assignment, clock + 1), action, assignment.skills
+
+    return Policy(init, step)
+
+
+def check_skills(
+    parts: Parts, skills: Sequence[int | None] | None
+) -> tuple[int | None, ...] | None:
+    """`skills` as a tuple, if there is one per token and each exists or is None."""
+    if skills is None:
+        return None
+    counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents
+    if len(skills) != len(counts):
+        raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
+    for token, (skill, count) in enumerate(zip(skills, counts)):
+        if skill is not None and not 0 <= skill < count:
+            name = f"skill of agent {token}" if token else "team skill"
+            raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
+    return tuple(skills)
