@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,7 +60,8 @@ class Seed:
         self.config = configs.to_json(job.config)
         self.checkpoints = run_folder.checkpoint_folder(job.run, index)
         self.writers: list[logging.Writer] = []
-        self.wall_seconds = 0.0
+        self.began = 0.0
+        """On the clock of this process, moved back by what earlier sessions took."""
         self.result: Event | None = None
 
     def open(self, env_steps: int) -> None:
@@ -69,10 +70,10 @@ class Seed:
         resumed_at = env_steps or -1
         logging.keep_until(path, resumed_at)
         records = logging.read(path)
-        self.wall_seconds = records[-1]["wall_seconds"] if records else 0.0
         self.writers = logging.open_writers(
             self.job.run, self.index, self.config, resumed_at, self.job.extras
         )
+        self.began = time.perf_counter() - (records[-1]["wall_seconds"] if records else 0.0)
 
     def write(self, kind: str, env_steps: int, metrics: dict[str, float]) -> None:
         """Log one record and show it."""
@@ -80,7 +81,7 @@ class Seed:
             "kind": kind,
             "seed": self.index,
             "env_steps": env_steps,
-            "wall_seconds": round(self.wall_seconds, 3),
+            "wall_seconds": round(time.perf_counter() - self.began, 3),
             **metrics,
         }
         for writer in self.writers:
@@ -97,7 +98,8 @@ class Seed:
         if self.result is None:
             self.result = Event(kind, self.index, data)
             for writer in self.writers:
-                writer.close()
+                with suppress(OSError):  # what a full disk did not take was complained about
+                    writer.close()
             self.job.report(self.result)
 
     def fail(self, reason: str) -> None:
@@ -179,7 +181,6 @@ def _loop(
         updates += count
         env_steps = updates * plan.env_steps_per_update
         for seed, row, is_healthy in zip(seeds, _rows(sums), healthy):
-            seed.wall_seconds += seconds
             if seed.result is None and not is_healthy:
                 seed.fail(f"a loss or parameter was not finite at env step {env_steps}")
             if seed.result is None:
@@ -204,11 +205,8 @@ def _loop(
 def _evaluate(job: Job, programs: Programs, seeds: list[Seed], states: Any, env_steps: int) -> None:
     """Evaluate the states as they are now."""
     keys = [evaluation_key(job.config, seed.index, env_steps) for seed in seeds]
-    start = time.perf_counter()
     rows = _rows(programs.evaluate(states, jnp.stack(keys)))
-    seconds = time.perf_counter() - start
     for seed, row in zip(seeds, rows):
-        seed.wall_seconds += seconds
         if seed.result is None:
             seed.write("eval", env_steps, row)
 
