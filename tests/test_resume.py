@@ -150,6 +150,29 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
     assert int(load_run(two).state.num_updates) == 4
 
 
+def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
+    """Seeds that stand at different steps go on in a group each."""
+    config = configs.load(None, SETTINGS | {"total_env_steps": 160})
+
+    def train(run, seeds, stops):
+        stops = iter(stops)
+        job = Job(run, config, (), lambda event: None, lambda: next(stops, False))
+        return {seed: event.kind for seed, event in train_seeds(job, seeds).items()}
+
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    for run in (whole, parts):
+        run_folder.create(run, config, [])
+    assert set(train(whole, [0, 1, 2], []).values()) == {"finished"}
+    # Asked before every stretch of 40 env steps: the third time for 0 and 1, the second for 2.
+    assert set(train(parts, [0, 1], [False, False, True]).values()) == {"interrupted"}
+    assert train(parts, [2], [False, True]) == {2: "interrupted"}
+    assert [latest(parts, seed) for seed in range(3)] == [80, 80, 40]
+    assert set(train(parts, [0, 1, 2], []).values()) == {"finished"}
+    for seed in range(3):
+        assert numbers(parts, seed) == numbers(whole, seed)
+        assert_same_state(load_run(parts, seed).state, load_run(whole, seed).state)
+
+
 def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     run = tmp_path / "run"
     process = start("train", run, *words(total_env_steps=ENDLESS))

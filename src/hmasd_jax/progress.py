@@ -1,5 +1,6 @@
 """What a run shows while it trains: live bars in a terminal, plain lines elsewhere."""
 
+import math
 import time
 from dataclasses import dataclass, field
 from typing import Any
@@ -89,8 +90,10 @@ class Display:
         if not self._compiled:
             self._compiled = True
             seconds, size = event.data["seconds"], event.data["memory_bytes"]
+            mebibytes = math.ceil(size / 2**20)
             self._print(
-                f"compiled in {seconds:.0f} s; predicted memory {size / 2**20:,.0f} MiB per process"
+                f"compiled in {seconds:.0f} s; predicted memory {mebibytes:,} MiB per process, "
+                "beside jax and its compiler"
             )
 
     def _take_record(self, event: Event, track: Track) -> None:
