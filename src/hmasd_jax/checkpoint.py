@@ -175,9 +175,13 @@ def _holds(folder: Path, step: int, content: dict, config: dict) -> bool:
 
 
 def _check_config(path: Path, saved: dict, config: dict) -> None:
-    """Name the fields that differ."""
+    """Name the fields that differ.
+
+    A setting that the saved configuration lacks is younger than the checkpoint: its default is
+    what the code did then.
+    """
     old, new = _flatten(saved), _flatten(_as_json(config))
-    fields = [k for k in sorted(old | new) if old.get(k, "absent") != new.get(k, "absent")]
+    fields = [k for k in sorted(old) if old[k] != new.get(k, "absent")]
     if fields:
         changes = [f"{k} (saved {_show(old, k)}, now {_show(new, k)})" for k in fields]
         raise CheckpointError(

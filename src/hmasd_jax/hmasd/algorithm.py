@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax import rollout as rollouts
@@ -112,6 +112,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     discoverer, discoverer_norm, low_metrics = _train_actor_critic(
         parts.discoverer_optimizer, discoverer_loss, parts.discoverer,
         state.discoverer, state.discoverer_norm, low, parts.config, key_low,
+        low_entropy_coef(parts.config, state.num_updates),
     )  # fmt: skip
     discriminators, d_metrics = _train_discriminators(
         parts, state.discriminators, flatten(pairs), key_pairs
@@ -138,9 +139,17 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     return following, metrics
 
 
+def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float | Float[Array, ""]:
+    """lambda_l after `num_updates` updates."""
+    if not config.low_entropy_decay_updates:
+        return config.low_entropy_coef
+    remaining = 1.0 - num_updates / config.low_entropy_decay_updates
+    return config.low_entropy_coef * jnp.maximum(remaining, 0.0)
+
+
 def _train_actor_critic(
     optimizer, loss_fn, networks, learner: Learner, norm: ValueNorm, batch: Any,
-    config: HMASDConfig, key: Key,
+    config: HMASDConfig, key: Key, *coefs: float | Array,
 ) -> tuple[Learner, ValueNorm, Metrics]:  # fmt: skip
     """Epochs of PPO; each step first takes its targets into the value normalizer."""
 
@@ -148,7 +157,7 @@ def _train_actor_critic(
         learner, norm = carry
         norm = value_norm.update(norm, minibatch.target)
         learner, metrics = gradient_step(
-            learner, optimizer, loss_fn, networks, norm, minibatch, config
+            learner, optimizer, loss_fn, networks, norm, minibatch, config, *coefs
         )
         return (learner, norm), metrics
 

@@ -22,6 +22,9 @@ class HMASDConfig:
     """lambda_h, weight of the coordinator's entropy in Eq. 6."""
     low_entropy_coef: float = 0.01
     """lambda_l, weight of the discoverer's entropy in Eq. 7."""
+    low_entropy_decay_updates: int = 0
+    """Updates (rollouts) over which lambda_l falls linearly to 0; 0 keeps it constant, as the paper
+    does."""
     extrinsic_coef: float = 0.0
     """lambda_e, weight of the team reward in Eq. 4."""
     team_intrinsic_coef: float = 0.1
@@ -58,6 +61,7 @@ class HMASDConfig:
     def __post_init__(self) -> None:
         ppo = self.ppo
         check_range(self, "skill_interval", "num_team_skills", "num_skills", low=1)
+        check_range(self, "low_entropy_decay_updates", low=0)
         check_range(self, "discriminator_epochs", "num_blocks", "num_heads", low=1)
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)

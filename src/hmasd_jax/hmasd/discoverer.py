@@ -98,13 +98,20 @@ def state_value(
 
 
 def discoverer_loss(
-    params: dict, networks: Discoverer, norm: ValueNorm, batch: LowBatch, config: HMASDConfig
+    params: dict,
+    networks: Discoverer,
+    norm: ValueNorm,
+    batch: LowBatch,
+    config: HMASDConfig,
+    entropy_coef: float | Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 7: L_l = sum_i L_PPO{pi_l(a^i|o^i, z^i), V_l(s, Z), r^i} - lambda_l sum_i E[H(pi_l)].
 
     As in the authors' code the sums over agents are means. The one V_l(s, Z) is fitted to the
-    returns of all agents.
+    returns of all agents. `entropy_coef` is lambda_l where it is not the configured constant.
     """
+    if entropy_coef is None:
+        entropy_coef = config.low_entropy_coef
     # (S, L, ...) -> (L, S, ...): recurrent networks run over the first axis.
     batch = LowBatch(batch.memory, *(x.swapaxes(0, 1) for x in batch[1:]))
     _, distribution = action_distribution(
@@ -136,4 +143,4 @@ def discoverer_loss(
         config.ppo,
     )
     entropy = distribution.entropy().mean()
-    return loss - config.low_entropy_coef * entropy, metrics | {"entropy": entropy}
+    return loss - entropy_coef * entropy, metrics | {"entropy": entropy}
