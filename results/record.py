@@ -1,0 +1,113 @@
+"""Keep a finished run: RUN -> results/TASK/NAME.json and .png, and write docs/results.md anew.
+
+python results/record.py RUN results/alice_and_bob/hmasd.json
+python results/record.py             # only docs/results.md, from the files that are there
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from hmasd_jax import logging, run_folder
+from hmasd_jax.plot import PAPER_ALICE_AND_BOB, plot_result
+from hmasd_jax.statistics import last_evaluations, summarize
+from hmasd_jax.summary import LAST, main_metric
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "results.md"
+SOLVED = 90  # percent
+PAPER = {"alice_and_bob": "74 ± 26 (5 seeds)"}
+REFERENCES = {"alice_and_bob": PAPER_ALICE_AND_BOB}
+
+HEAD = """# Results
+
+Written by `python results/record.py` from the files in [`results/`](../results), each of which
+holds the command, configuration, commit, versions and hardware that made it, and every evaluation
+of every seed. Success in percent of 100 greedy episodes; the mean of the last {last} evaluations of
+each seed, then over seeds. "±" is the (population) standard deviation over seeds, as in the paper,
+brackets are the 95 % bootstrap interval of the mean, and "worst" is the worst seed.
+"""
+COLUMNS = (
+    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ 90 % | commit | hours |"
+)
+
+
+def record(run: Path) -> dict[str, Any]:
+    """What is kept of a run.
+
+    Raises:
+        SystemExit: a seed has not come to its end, or seeds were evaluated at different steps.
+    """
+    about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
+    env_steps, values, wall_seconds = None, [], []
+    for seed in run_folder.seeds_of(run):
+        records = logging.read(run_folder.metrics_path(run, seed))
+        evaluations = [entry for entry in records if entry["kind"] == "eval"]
+        steps = [entry["env_steps"] for entry in evaluations]
+        env_steps = env_steps or steps
+        if not evaluations or steps != env_steps:
+            raise SystemExit(
+                f"seed {seed} of {run} has not been evaluated as the others: resume it"
+            )
+        metric = main_metric(evaluations[-1])
+        values.append([round(entry[metric], 6) for entry in evaluations])
+        wall_seconds.append(records[-1]["wall_seconds"])
+    return {
+        **about,
+        "command": " ".join(about["command"]),
+        "config": config,
+        "metric": metric,
+        "env_steps": env_steps,
+        "values": values,
+        "wall_seconds": wall_seconds,
+    }
+
+
+def row(path: Path) -> str:
+    """One line of the table."""
+    kept = json.loads(path.read_text())
+    final = summarize(100 * last_evaluations(kept["values"], LAST), solved_at=SOLVED)
+    low, high = final["interval"]
+    cells = [
+        f"[{path.stem}](../{path.relative_to(ROOT)})",
+        str(final["seeds"]),
+        f"{kept['env_steps'][-1]:,}",
+        PAPER.get(path.parent.name, "") if path.stem == "hmasd" else "",
+        f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
+        f"{final['min']:.1f}",
+        f"{final['fraction_solved']:.0%}",
+        f"`{kept['commit'][:7]}`",
+        f"{sum(kept['wall_seconds']) / 3600:.1f}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def page() -> str:
+    """docs/results.md."""
+    parts = [HEAD.format(last=LAST)]
+    for folder in sorted(path for path in (ROOT / "results").iterdir() if path.is_dir()):
+        files = sorted(folder.glob("*.json"))
+        rows = [row(path) for path in files]
+        commands = [f"    {json.loads(path.read_text())['command']}" for path in files]
+        images = [
+            f"![{path.stem}](../{path.relative_to(ROOT).with_suffix('.png')})" for path in files
+        ]
+        rule = "|---" * COLUMNS.count(" | ") + "|---|"
+        title = f"## {folder.name}\n"
+        parts += ["\n".join([title, COLUMNS, rule, *rows, "", *commands, "", *images, ""])]
+    return "\n".join(parts)
+
+
+def main(arguments: list[str]) -> None:
+    """Record a run if one is given, then write the page."""
+    if arguments:
+        run, out = map(Path, arguments)
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(record(run)) + "\n")
+        plot_result(out, out.with_suffix(".png"), REFERENCES.get(out.parent.name))
+    PAGE.write_text(page())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
