@@ -3,7 +3,8 @@
 After andyljones.com/rl-debugging, for cooperating agents and two levels. When training goes wrong
 try them in the order of this file: each needs what those before it test, and one thing more. All
 have two agents and two actions; learn from the team reward alone (in HMASD: `extrinsic_coef=1`,
-both intrinsic coefficients 0) unless the docstring says otherwise.
+both intrinsic coefficients 0), but the last two, which need skills, as HMASD does by default: the
+low level from intrinsic rewards, the high level from the team reward.
 
 An agent observes four pairs of indicators: its cue, its own index, its last action, and whether
 the episode is at its first or at its last step. A pair is (0, 0) where a probe hides that fact.
@@ -246,7 +247,7 @@ class HiddenCue(Probe):
     """As `MatchCue`, but only the global state shows the cues.
 
     Answer: return 1 if something that sees the state (a coordinator) tells the agents what to do,
-    else 1/2. In HMASD keep the intrinsic rewards on: skills must first mean something.
+    else 1/2.
     Failure: skills do not depend on the state, or actions do not depend on skills.
     """
 
@@ -268,7 +269,6 @@ class DifferentActions(Probe):
 
     Answer: 1 a step if roles are assigned one after the other. Agents that act alike but
     independently get at most 1/2, and so does a coordinator that draws skills independently.
-    In HMASD keep the intrinsic rewards on.
     Failure: skill i does not depend on the skills before it.
     """
 
