@@ -78,6 +78,23 @@ def test_adam_epsilon_is_added_outside_the_root():
     assert_allclose(learner.params["net"], [-0.05], rtol=1e-4)
 
 
+def test_the_step_size_can_fall_linearly_to_zero():
+    # 2 updates of 2 epochs: 4 steps. Under a constant gradient Adam moves by the step size:
+    # 0.1, 0.075, 0.05, 0.025, and then not at all.
+    config = PPOConfig(learning_rate=0.1, decay_updates=2, num_epochs=2)
+    params, gradient = {"net": jnp.zeros(1)}, {"net": jnp.ones(1)}
+    for steps_per_update, expected in [
+        (None, [-0.1, -0.175, -0.225, -0.25, -0.25]),
+        (1, [-0.1, -0.15, -0.15, -0.15, -0.15]),  # given: 2 updates of 1 step
+    ]:
+        optimizer = make_optimizer(config, ["net"], steps_per_update)
+        learner, path = Learner(params, optimizer.init(params)), []
+        for _ in range(5):
+            learner, _ = gradient_step(learner, optimizer, _linear_loss, gradient)
+            path.append(float(learner.params["net"][0]))
+        assert_allclose(path, expected, rtol=1e-4)
+
+
 def _count_samples(num_epochs, num_minibatches, key=0):
     """Which samples each step saw, in order."""
 

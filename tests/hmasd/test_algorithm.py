@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.hmasd.algorithm import make_hmasd
+from hmasd_jax.hmasd.algorithm import low_entropy_coef, make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
@@ -168,6 +168,14 @@ def test_no_key_is_used_twice(parts):
         jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
         with pytest.raises(jax.errors.KeyReuseError):  # what the line above would raise
             jax.make_jaxpr(jax.jit(reuses))(jax.random.key(0))
+
+
+def test_the_low_entropy_weight_can_fall_linearly_to_zero(config):
+    decaying = replace(config, low_entropy_coef=0.4, low_entropy_decay_updates=4)
+    values = [low_entropy_coef(decaying, jnp.int32(n)) for n in (0, 1, 3, 4, 9)]
+    assert_allclose(values, [0.4, 0.3, 0.1, 0.0, 0.0], atol=1e-6)
+    constant = replace(config, low_entropy_coef=0.4, low_entropy_decay_updates=0)
+    assert low_entropy_coef(constant, jnp.int32(9)) == 0.4
 
 
 def test_a_rollout_must_be_a_whole_number_of_segments(config):

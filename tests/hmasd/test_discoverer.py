@@ -67,6 +67,9 @@ def test_eq_7_by_hand():
     loss, metrics = discoverer_loss(params, networks, UNIT, _batch(), config)
     assert_allclose(loss, -0.25 + 1.81 - 0.00683079, rtol=1e-5)
     assert_allclose(metrics["entropy"], 0.683079, rtol=1e-5)
+    # Another lambda_l than the configured constant.
+    loss, _ = discoverer_loss(params, networks, UNIT, _batch(), config, 0.5)
+    assert_allclose(loss, -0.25 + 1.81 - 0.5 * 0.683079, rtol=1e-5)
 
 
 def test_targets_are_normalized_and_values_are_not():
