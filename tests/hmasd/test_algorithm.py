@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 
 from hmasd_jax.hmasd.algorithm import low_entropy_coef, make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
+from hmasd_jax.hmasd.collect import collect
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
 
@@ -76,6 +77,45 @@ def test_high_level_ratio_notices_observations_of_another_segment(parts, trained
     assert error(trained.coordinator.params, rollout) > 1e-3
 
 
+def test_by_the_episodes_clock_both_ratios_are_1_and_segments_follow_the_episodes(parts, trained):
+    parts = replace(parts, config=replace(parts.config, segment_clock="episode"))
+
+    def run(state, key):
+        networks = state.coordinator.params, state.discoverer.params
+        rollout = collect(parts, *networks, state.env, state.memory, key)
+        high = high_batch(parts, networks[0], state.coordinator_norm, rollout, key)
+        reward = jnp.zeros(rollout.transitions.action.shape)
+        low = low_batch(parts, networks[1], state.discoverer_norm, rollout, reward)
+        _, high_metrics = coordinator_loss(
+            networks[0], parts.coordinator, state.coordinator_norm, high, parts.config
+        )
+        _, low_metrics = discoverer_loss(
+            networks[1], parts.discoverer, state.discoverer_norm, low, parts.config
+        )
+        return rollout, high, high_metrics["ratio_error"], low_metrics["ratio_error"]
+
+    rollout, high, *errors = jax.jit(run)(trained, jax.random.key(1))
+    _assert_crosses_episodes(rollout)
+    assert max(errors) < 1e-5
+    # 100 steps into training episodes of 7 are at their third step; clocks of the state, which
+    # was trained by the rollout's clock, stand at 20. Steps of the episode from the first reset on:
+    first, extras = np.asarray(rollout.transitions.first), rollout.transitions.extras
+    begin = first[:, 0].argmax()
+    time = (np.arange(20) - begin) % 7
+    expected = np.isin(time, (0, 5))[begin:, None]
+    np.testing.assert_array_equal(
+        extras.renewed[begin:], np.broadcast_to(expected, (20 - begin, 4))
+    )
+    # Skills change at these steps only, and every sample is one of them.
+    skills = np.asarray(extras.assignment.skills)
+    changed = (skills[1:] != skills[:-1]).any(-1)
+    assert changed.any()
+    assert not (changed & ~np.asarray(extras.renewed)[1:]).any()
+    starts = np.asarray(rollout.transitions.timestep.state)[np.asarray(extras.renewed)]
+    assert len(high.state) == 2 * 20 * 4 // 5
+    assert {s.tobytes() for s in np.asarray(high.state)} == {s.tobytes() for s in starts}
+
+
 def test_the_update_itself_reports_ratios_of_1_with_one_epoch(algorithm, trained, config):
     assert config.ppo.num_epochs == 1
     _, metrics = algorithm.update(trained)
@@ -136,19 +176,14 @@ def test_vmap_over_seeds_is_a_loop_over_seeds(algorithm, parts):
 
 
 def test_jit_is_eager(parts, trained, rollout):
-    reward = jnp.asarray(np.random.default_rng(0).normal(size=(20, 4, 2)), jnp.float32)
+    # The high level stands for both: what the low level does is checked eagerly, by hand, in
+    # test_batches.py and test_discoverer.py, and the whole update is too slow outside jit.
+    def loss(rollout):
+        params, norm = trained.coordinator.params, trained.coordinator_norm
+        batch = high_batch(parts, params, norm, rollout, trained.key)
+        return coordinator_loss(params, parts.coordinator, norm, batch, parts.config)
 
-    def losses(rollout, reward):
-        high_params, low_params = trained.coordinator.params, trained.discoverer.params
-        high = high_batch(parts, high_params, trained.coordinator_norm, rollout, trained.key)
-        low = low_batch(parts, low_params, trained.discoverer_norm, rollout, reward)
-        return coordinator_loss(
-            high_params, parts.coordinator, trained.coordinator_norm, high, parts.config
-        ), discoverer_loss(
-            low_params, parts.discoverer, trained.discoverer_norm, low, parts.config
-        )  # fmt: skip
-
-    _assert_close(jax.jit(losses)(rollout, reward), losses(rollout, reward), atol=1e-5)
+    _assert_close(jax.jit(loss)(rollout), loss(rollout), atol=1e-5)
 
 
 def test_no_key_is_used_twice(parts):
