@@ -183,13 +183,18 @@ def test_all_damaged(folder, template):
 
 
 def test_other_configuration_names_the_fields(folder, template):
-    now = {"algorithm": {"name": "hmasd", "sizes": [8, 8], "coef": 0.2}, "seed": 0, "extra": True}
+    now = {"algorithm": {"name": "hmasd", "sizes": [8, 8], "coef": 0.2}}
     with pytest.raises(CheckpointError) as error:
         checkpoint.restore(folder, template, now)
     assert str(error.value) == (
         f"{folder / '300'} is of another configuration: algorithm.coef (saved 0.1, now 0.2), "
-        "extra (saved absent, now True); use the saved values, or another run folder"
+        "seed (saved 0, now absent); use the saved values, or another run folder"
     )
+
+
+def test_a_setting_younger_than_the_checkpoint_is_no_difference(folder, template):
+    _, step = checkpoint.restore(folder, template, {**CONFIG, "new_option": 0})
+    assert step == 300
 
 
 def test_other_shapes_and_other_structure(folder, template):

@@ -20,10 +20,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import orbax.checkpoint as ocp
+
+from hmasd_jax.packing import describe, from_bytes, to_bytes
 
 State = Any
 """A pytree of arrays, typed PRNG keys among them."""
@@ -62,8 +62,8 @@ def save(folder: Path, step: int, state: State, config: dict, keep: int) -> None
         CheckpointError: the disk is full or not writable (earlier checkpoints stay as they are),
             or `folder` holds a later step.
     """
-    data = _to_bytes(state)
-    content = {"leaves": _describe(state), "size": len(data), "checksum": zlib.crc32(data)}
+    data = to_bytes(state)
+    content = {"leaves": describe(state), "size": len(data), "checksum": zlib.crc32(data)}
     newest = latest_step(folder)
     if newest is not None and newest > step:
         raise CheckpointError(
@@ -149,13 +149,13 @@ def _read(folder: Path, step: int, template: State, config: dict) -> State:
     with _manager(folder, read_only=True) as manager:
         saved_config, content = _read_json(manager, step)
         _check_config(path, saved_config, config)
-        _check_structure(path, content["leaves"], _describe(template))
+        _check_structure(path, content["leaves"], describe(template))
         like = {"bytes": np.empty(content["size"], np.uint8)}
         items = ocp.args.Composite(state=ocp.args.StandardRestore(like))
         data = manager.restore(step, args=items)["state"]["bytes"].tobytes()
     if zlib.crc32(data) != content["checksum"]:
         raise ValueError("the checksum differs")
-    return _from_bytes(data, template)
+    return from_bytes(data, template)
 
 
 def _read_json(manager: ocp.CheckpointManager, step: int) -> tuple[dict, dict]:
@@ -250,40 +250,6 @@ def _open(folder: Path, settings: ocp.CheckpointManagerOptions) -> ocp.Checkpoin
 
 def _path(folder: Path, step: int) -> Path:
     return Path(folder) / str(step)
-
-
-def _describe(state: State) -> dict[str, str]:
-    """Dtype and shape of every array, by name."""
-    leaves, _ = jax.tree_util.tree_flatten_with_path(state)
-    return {jax.tree_util.keystr(path): f"{x.dtype}{list(x.shape)}" for path, x in leaves}
-
-
-def _to_bytes(state: State) -> bytes:
-    """All arrays in order."""
-    return b"".join(np.asarray(_raw(x)).tobytes() for x in jax.tree.leaves(state))
-
-
-def _from_bytes(data: bytes, template: State) -> State:
-    """Inverse of `_to_bytes`; arrays go where those of the template are, or to the default."""
-    leaves, structure = jax.tree.flatten(template)
-    arrays, begin = [], 0
-    for leaf in leaves:
-        raw = jax.eval_shape(_raw, leaf)
-        # A copy: jax would otherwise read, and when donated overwrite, the memory of `data`.
-        array = jnp.array(np.frombuffer(data, raw.dtype, raw.size, begin).reshape(raw.shape))
-        begin += array.nbytes
-        array = jax.random.wrap_key_data(array) if _is_key(leaf) else array
-        arrays.append(jax.device_put(array, getattr(leaf, "sharding", None)))
-    return jax.tree.unflatten(structure, arrays)
-
-
-def _raw(x: jax.Array) -> jax.Array:
-    """Keys as the integers that they are made of."""
-    return jax.random.key_data(x) if _is_key(x) else x
-
-
-def _is_key(x: jax.Array | jax.ShapeDtypeStruct) -> bool:
-    return jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key)
 
 
 def _as_json(config: dict) -> dict:
