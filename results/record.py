@@ -88,6 +88,8 @@ def page() -> str:
     parts = [HEAD.format(last=LAST)]
     for folder in sorted(path for path in (ROOT / "results").iterdir() if path.is_dir()):
         files = sorted(folder.glob("*.json"))
+        if not files:
+            continue
         rows = [row(path) for path in files]
         commands = [f"    {json.loads(path.read_text())['command']}" for path in files]
         images = [
