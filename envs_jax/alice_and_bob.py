@@ -22,6 +22,7 @@ from envs_jax.types import TimeStep
 Observation = Literal["codes", "one_hot"]
 
 SIZE = 8  # interior cells per side
+CELLS = SIZE * SIZE
 MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0), (0, 0)])  # col+1, col-1, row-1, row+1, stay
 BUTTONS = np.array([(1, 8), (1, 1)])  # red, blue
 DIAMONDS = np.array([(8, 1), (8, 8)])  # red, blue
@@ -101,7 +102,10 @@ class AliceAndBob:
 
     def reset(self, key: jax.Array) -> tuple[AliceAndBobState, TimeStep]:
         """Place the agents on two distinct uniformly random cells; nothing is collected yet."""
-        cells = jax.random.choice(key, SIZE * SIZE, (2,), replace=False)
+        # One draw among the ordered pairs: a choice without replacement sorts all cells, which
+        # cost 4-5 % of a whole training step, as every copy prepares a reset at every step.
+        first, second = jnp.divmod(jax.random.randint(key, (), 0, CELLS * (CELLS - 1)), CELLS - 1)
+        cells = jnp.stack([first, second + (second >= first)])
         position = jnp.stack([cells // SIZE, cells % SIZE], axis=-1) + 1
         state = AliceAndBobState(position, jnp.zeros(2, bool), jnp.int32(0))
         return state, self._timestep(state, jnp.float32(0))
