@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.networks import GRU, MLP, RecurrentNet, dense, layer_norm, mask_logits
+from hmasd_jax.networks import GRU, MLP, LayerNorm, RecurrentNet, dense, mask_logits
 
 TIME, BATCH, INPUTS, SIZE = 5, 3, 4, 8
 
@@ -74,7 +74,7 @@ def _sequence(size=SIZE):
 def test_layer_norm_has_pytorchs_epsilon():
     # x = (0, 0.002): deviations -+1e-3, variance 1e-6; 1e-3 / sqrt(1e-6 + 1e-5) = 0.301511.
     # With flax's default epsilon 1e-6 it would be 0.707.
-    norm = layer_norm()
+    norm = LayerNorm()
     x = jnp.array([0.0, 0.002])
     result = apply(norm, init(norm, x), x)
     assert_allclose(result, [-0.301511, 0.301511], rtol=1e-4)
@@ -82,7 +82,7 @@ def test_layer_norm_has_pytorchs_epsilon():
 
 def test_layer_norm_survives_a_large_offset():
     # One-pass variance E[x^2] - E[x]^2 would lose all digits of a variance of 1 at 1e4.
-    norm = layer_norm()
+    norm = LayerNorm()
     x = jnp.array([1e4 - 1, 1e4 + 1])
     assert_allclose(apply(norm, init(norm, x), x), [-1.0, 1.0], rtol=1e-4)
 

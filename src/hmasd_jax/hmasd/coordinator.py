@@ -14,7 +14,7 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RELU_GAIN, apply, dense, layer_norm, mask_logits
+from hmasd_jax.networks import RELU_GAIN, LayerNorm, apply, dense, mask_logits
 from hmasd_jax.ppo import ppo_loss
 from hmasd_jax.transformer import DecoderBlock, EncoderBlock, Head, gelu
 from hmasd_jax.types import Key, Metrics
@@ -63,15 +63,15 @@ class Coordinator(nn.Module):
 
     def setup(self) -> None:
         """Create the parts; the input embeddings of team and agents are separate."""
-        self.embed_state = nn.Sequential([layer_norm(), dense(self.size, RELU_GAIN), gelu])
-        self.embed_obs = nn.Sequential([layer_norm(), dense(self.size, RELU_GAIN), gelu])
-        self.encoder_norm = layer_norm()
+        self.embed_state = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
+        self.embed_obs = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
+        self.encoder_norm = LayerNorm()
         blocks = range(self.num_blocks)
         self.encoder_blocks = [EncoderBlock(self.size, self.num_heads) for _ in blocks]
         self.value_head = Head(1, self.size)
         self.embed_team_skill = dense(self.size, RELU_GAIN, use_bias=False)
         self.embed_skill = dense(self.size, RELU_GAIN, use_bias=False)
-        self.decoder_norm = layer_norm()
+        self.decoder_norm = LayerNorm()
         self.decoder_blocks = [DecoderBlock(self.size, self.num_heads) for _ in blocks]
         self.skill_head = Head(self.max_skills, self.size)
 
