@@ -37,6 +37,10 @@ class HMASDConfig:
     Overcooked, `input` for SMAC."""
     discriminator_epochs: int = 15
     """Gradient steps on the discriminators per rollout, each on all of it."""
+    discriminator_noise: float = 0.0
+    """Standard deviation of Gaussian noise on what the discriminators see, in the units of obs and
+    state. Without it (the paper), skills that can just be told apart pay as much as skills that
+    lead far apart."""
     num_blocks: int = 1
     """Encoder blocks and decoder blocks of the coordinator."""
     num_heads: int = 1
@@ -65,6 +69,7 @@ class HMASDConfig:
         check_range(self, "discriminator_epochs", "num_blocks", "num_heads", low=1)
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
+        check_range(self, "discriminator_noise", low=0)
         check_multiple(
             "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
         )

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks import MLP, apply, dense
 from hmasd_jax.transformer import SMALL_GAIN
-from hmasd_jax.types import Metrics
+from hmasd_jax.types import Key, Metrics
 
 
 class Classifier(nn.Module):
@@ -51,6 +51,16 @@ def make_discriminators(config: HMASDConfig) -> Discriminators:
         team=Classifier(config.num_team_skills, size),
         individual=Classifier(config.num_skills, size),
     )
+
+
+def blur(pair: SkillPair, noise: float, key: Key) -> SkillPair:
+    """Add Gaussian noise of standard deviation `noise` to state and observations."""
+    if noise == 0:
+        return pair
+    key_state, key_obs = jax.random.split(key)
+    state = pair.state + noise * jax.random.normal(key_state, pair.state.shape)
+    obs = pair.obs + noise * jax.random.normal(key_obs, pair.obs.shape)
+    return pair._replace(state=state, obs=obs)
 
 
 def log_q(
