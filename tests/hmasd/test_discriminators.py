@@ -11,11 +11,12 @@ from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.discriminators import (
     Discriminators,
     SkillPair,
-    blur,
     discriminator_loss,
     log_q,
     log_q_of_skills,
     make_discriminators,
+    observe,
+    standardize,
 )
 from hmasd_jax.ppo import PPOConfig
 
@@ -113,13 +114,29 @@ def test_a_single_team_skill_costs_and_teaches_nothing():
     np.testing.assert_array_equal(team, 0.0)
 
 
-def test_blur_adds_independent_noise_of_the_given_scale():
+def test_noise_is_independent_and_of_the_given_scale():
     pair = SkillPair(jnp.zeros((200, 50)), jnp.ones((200, 2, 25)), jnp.zeros((200, 3), int))
-    blurred = blur(pair, 2.0, jax.random.key(0))
-    state, obs = np.asarray(blurred.state).ravel(), np.asarray(blurred.obs).ravel() - 1.0
+    noisy = observe(pair, HMASDConfig(discriminator_noise=2.0), jax.random.key(0))
+    state, obs = np.asarray(noisy.state).ravel(), np.asarray(noisy.obs).ravel() - 1.0
     for noise in (state, obs):  # 10,000 draws: mean 0 +- 0.02, standard deviation 2 +- 0.014
         assert abs(noise.mean()) < 0.08
         assert abs(noise.std() - 2.0) < 0.06
     assert abs(np.corrcoef(state, obs)[0, 1]) < 0.04
-    assert blurred.skills is pair.skills
-    assert blur(pair, 0.0, jax.random.key(0)) is pair
+    assert noisy.skills is pair.skills
+
+
+def test_without_options_the_discriminators_see_everything_as_it_is():
+    seen = observe(PAIR, HMASDConfig(), jax.random.key(0))
+    assert seen.state is PAIR.state
+    assert seen.obs is PAIR.obs
+
+
+def test_standardized_features_by_hand():
+    # Mean 3 and variance 4 over samples and agents; a constant feature becomes 0, not noise.
+    x = jnp.array([[[1.0, 7.0], [5.0, 7.0]], [[1.0, 7.0], [5.0, 7.0]]])
+    expected = np.array([[[-2.0, 0.0], [2.0, 0.0]]] * 2) / np.sqrt(4.01)
+    assert_allclose(standardize(x), expected, rtol=1e-6)
+    pair = PAIR._replace(obs=x)
+    seen = observe(pair, HMASDConfig(discriminator_standardize=True), jax.random.key(0))
+    assert_allclose(seen.obs, expected, rtol=1e-6)
+    assert_allclose(seen.state, np.array([[-1.0, -1.0], [1.0, 1.0]]) / np.sqrt(1.01), rtol=1e-6)

@@ -20,7 +20,7 @@ from hmasd_jax.hmasd.collect import (
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
-from hmasd_jax.hmasd.discriminators import blur, discriminator_loss, log_q_of_skills
+from hmasd_jax.hmasd.discriminators import discriminator_loss, log_q_of_skills, observe
 from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
@@ -96,8 +96,8 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         state.memory,
         key_collect,
     )
-    key_blur, key_pairs = jax.random.split(key_pairs)
-    pairs = blur(skill_pairs(parts, rollout), parts.config.discriminator_noise, key_blur)
+    key_noise, key_pairs = jax.random.split(key_pairs)
+    pairs = observe(skill_pairs(parts, rollout), parts.config, key_noise)
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )

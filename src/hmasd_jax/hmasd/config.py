@@ -37,10 +37,14 @@ class HMASDConfig:
     Overcooked, `input` for SMAC."""
     discriminator_epochs: int = 15
     """Gradient steps on the discriminators per rollout, each on all of it."""
+    discriminator_standardize: bool = False
+    """Whether the discriminators see each feature of obs and state with mean 0 and deviation 1 over
+    the rollout. Without it (the paper), their input LayerNorm drowns places where all features are
+    small, such as a corner at (1, 1) in raw coordinates."""
     discriminator_noise: float = 0.0
     """Standard deviation of Gaussian noise on what the discriminators see, in the units of obs and
-    state. Without it (the paper), skills that can just be told apart pay as much as skills that
-    lead far apart."""
+    state, or in deviations of each feature with `discriminator_standardize`. Without it (the
+    paper), skills that can just be told apart pay as much as skills that lead far apart."""
     num_blocks: int = 1
     """Encoder blocks and decoder blocks of the coordinator."""
     num_heads: int = 1

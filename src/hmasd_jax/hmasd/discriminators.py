@@ -53,13 +53,29 @@ def make_discriminators(config: HMASDConfig) -> Discriminators:
     )
 
 
-def blur(pair: SkillPair, noise: float, key: Key) -> SkillPair:
-    """Add Gaussian noise of standard deviation `noise` to state and observations."""
-    if noise == 0:
-        return pair
-    key_state, key_obs = jax.random.split(key)
-    state = pair.state + noise * jax.random.normal(key_state, pair.state.shape)
-    obs = pair.obs + noise * jax.random.normal(key_obs, pair.obs.shape)
+def standardize(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
+    """Mean 0 and deviation 1 of each feature over the whole batch.
+
+    The added variance of 0.01 keeps features that (almost) never change near 0.
+    """
+    batch = tuple(range(x.ndim - 1))
+    return (x - x.mean(batch)) * jax.lax.rsqrt(x.var(batch) + 1e-2)
+
+
+def blur(x: Float[Array, "*shape"], noise: float, key: Key) -> Float[Array, "*shape"]:
+    """Add Gaussian noise of standard deviation `noise`."""
+    return x + noise * jax.random.normal(key, x.shape)
+
+
+def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
+    """What the discriminators see of states and observations: all, unless options say else."""
+    state, obs = pair.state, pair.obs
+    if config.discriminator_standardize:
+        state, obs = standardize(state), standardize(obs)
+    if config.discriminator_noise > 0:
+        key_state, key_obs = jax.random.split(key)
+        state = blur(state, config.discriminator_noise, key_state)
+        obs = blur(obs, config.discriminator_noise, key_obs)
     return pair._replace(state=state, obs=obs)
 
 
