@@ -18,9 +18,14 @@ from hmasd_jax.hmasd.collect import (
     init_rollout_memory,
 )
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.hmasd.coordinator import coordinator_loss
-from hmasd_jax.hmasd.discoverer import discoverer_loss
-from hmasd_jax.hmasd.discriminators import discriminator_loss, log_q_of_skills, observe
+from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
+from hmasd_jax.hmasd.discoverer import LowBatch, discoverer_loss
+from hmasd_jax.hmasd.discriminators import (
+    SkillPair,
+    discriminator_loss,
+    log_q_of_skills,
+    observe,
+)
 from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
@@ -106,18 +111,9 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
-    coordinator, coordinator_norm, high_metrics = _train_actor_critic(
-        parts.coordinator_optimizer, coordinator_loss, parts.coordinator,
-        state.coordinator, state.coordinator_norm, high, parts.config, key_high,
-    )  # fmt: skip
-    discoverer, discoverer_norm, low_metrics = _train_actor_critic(
-        parts.discoverer_optimizer, discoverer_loss, parts.discoverer,
-        state.discoverer, state.discoverer_norm, low, parts.config, key_low,
-        low_entropy_coef(parts.config, state.num_updates),
-    )  # fmt: skip
-    discriminators, d_metrics = _train_discriminators(
-        parts, state.discriminators, flatten(pairs), key_pairs
-    )
+    coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
+    discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
+    discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
     metrics = {
         **episode_metrics(rollout),
         "team_reward": team_reward.mean(),
@@ -148,6 +144,41 @@ def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float 
     return config.low_entropy_coef * jnp.maximum(remaining, 0.0)
 
 
+def train_coordinator(
+    parts: Parts, state: HMASDState, batch: HighBatch, key: Key
+) -> tuple[Learner, ValueNorm, Metrics]:
+    """Epochs of Eq. 6."""
+    return _train_actor_critic(
+        parts.coordinator_optimizer, coordinator_loss, parts.coordinator,
+        state.coordinator, state.coordinator_norm, batch, parts.config, key,
+    )  # fmt: skip
+
+
+def train_discoverer(
+    parts: Parts, state: HMASDState, batch: LowBatch, key: Key
+) -> tuple[Learner, ValueNorm, Metrics]:
+    """Epochs of Eq. 7."""
+    return _train_actor_critic(
+        parts.discoverer_optimizer, discoverer_loss, parts.discoverer,
+        state.discoverer, state.discoverer_norm, batch, parts.config, key,
+        low_entropy_coef(parts.config, state.num_updates),
+    )  # fmt: skip
+
+
+def train_discriminators(
+    parts: Parts, state: HMASDState, pairs: SkillPair, key: Key
+) -> tuple[Learner, Metrics]:
+    """Epochs of Eq. 8 on the whole rollout."""
+
+    def step(learner, pairs):
+        return gradient_step(
+            learner, parts.discriminator_optimizer, discriminator_loss, parts.discriminators, pairs
+        )
+
+    epochs = parts.config.discriminator_epochs
+    return sgd_epochs(step, state.discriminators, flatten(pairs), key, epochs, 1)
+
+
 def _train_actor_critic(
     optimizer, loss_fn, networks, learner: Learner, norm: ValueNorm, batch: Any,
     config: HMASDConfig, key: Key, *coefs: float | Array,
@@ -167,17 +198,6 @@ def _train_actor_critic(
         step, (learner, norm), batch, key, ppo.num_epochs, ppo.num_minibatches
     )
     return learner, norm, metrics
-
-
-def _train_discriminators(parts, learner, pairs, key) -> tuple[Learner, Metrics]:
-    """Epochs of Eq. 8 on the whole rollout."""
-
-    def step(learner, pairs):
-        return gradient_step(
-            learner, parts.discriminator_optimizer, discriminator_loss, parts.discriminators, pairs
-        )
-
-    return sgd_epochs(step, learner, pairs, key, parts.config.discriminator_epochs, 1)
 
 
 def episode_metrics(rollout: Rollout) -> Metrics:
