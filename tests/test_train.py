@@ -1,5 +1,7 @@
 import dataclasses
 import json
+import math
+import os
 import runpy
 import subprocess
 import sys
@@ -9,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 
-from hmasd_jax import checkpoint, logging, run_folder, sweep, trainer
+from hmasd_jax import checkpoint, logging, memory, run_folder, trainer
 from hmasd_jax import config as configs
 from hmasd_jax.policy import load_run
 from hmasd_jax.programs import evaluation_key, seed_key
@@ -124,16 +126,20 @@ def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
         jax.tree.map(lambda x: x[None], trained.state),
         evaluation_key(trained.config, 1, 200),
     )
-    metrics = trainer.compiled(trained.config, 1).evaluate(state, key[None])
+    metrics = trainer.compiled(trained.config, 1, "vmap").evaluate(state, key[None])
     assert float(metrics["length"][0]) == last["length"]
     assert main(["evaluate", str(alone), "--sampled", "--episodes", "3"]) == 0
     assert "3 sampled episodes" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("layout", ["workers", "vmap"])
+@pytest.mark.parametrize("layout", ["workers", "vmap", "map", "sharded"])
 def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, layout, tmp_path):
     command = [sys.executable, str(TOY), "seed_sweep", "--run-dir", str(tmp_path / "run")]
-    done = subprocess.run([*command, *words(layout=layout)], capture_output=True, text=True)
+    # Two devices for three seeds, so that sharding has to fill up.
+    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    done = subprocess.run(
+        [*command, *words(layout=layout)], capture_output=True, text=True, env=env
+    )
     assert done.returncode == 0, done.stderr
     run = tmp_path / "run"
     assert run_folder.seeds_of(run) == [0, 1, 2]
@@ -222,8 +228,44 @@ def test_no_two_processes_train_one_seed(tmp_path):
 
 def test_auto_layout_takes_workers_on_a_cpu():
     config = configs.load(None, SETTINGS)
-    assert sweep.choose_layout(config) == "workers"
-    assert sweep.choose_layout(dataclasses.replace(config, layout="vmap")) == "vmap"
+    assert trainer.choose_layout(config) == "workers"
+    assert trainer.choose_layout(dataclasses.replace(config, layout="vmap")) == "vmap"
+
+
+def test_auto_layout_takes_all_accelerators(monkeypatch):
+    config = configs.load(None, SETTINGS)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    assert trainer.choose_layout(config) == "vmap"
+    monkeypatch.setattr(jax, "local_device_count", lambda: 2)
+    assert trainer.choose_layout(config) == "sharded"
+
+
+def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path, monkeypatch):
+    job, events = make_job(tmp_path / "run", layout="vmap")
+    together = trainer.compiled(job.config, 3, "vmap").memory_bytes
+    monkeypatch.setattr(memory, "available_bytes", lambda: together - 1)
+    results = train_seeds(job, [0, 1, 2])
+    assert [results[seed].kind for seed in range(3)] == ["finished"] * 3
+    order = [(event.kind, event.seed) for event in events if event.kind in ("start", "finished")]
+    starts = [("start", 0), ("start", 1), ("finished", 0), ("finished", 1), ("start", 2)]
+    assert order == [*starts, ("finished", 2)]
+    for ours, theirs in zip(numbers(job.run, 1), numbers(alone, 1), strict=True):
+        assert ours.pop("kind") == theirs.pop("kind")
+        assert ours == pytest.approx(theirs, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("free", "size"), [(math.inf, 10), (1000, 10), (999, 5), (499, 4), (150, 1), (1, 1)]
+)
+def test_seeds_are_dealt_into_even_batches_that_fit(free, size, monkeypatch):
+    monkeypatch.setattr(memory, "available_bytes", lambda: free)
+    assert memory.seeds_at_once(10, lambda n: 100 * n) == size
+
+
+def test_workers_are_no_more_than_fit_into_memory(monkeypatch):
+    for free, expected in ((math.inf, 8), (5 * memory.WORKER_BYTES, 5), (1, 1)):
+        monkeypatch.setattr(memory, "available_host_bytes", lambda free=free: free)
+        assert memory.workers_at_once(8) == expected
 
 
 def test_tensorboard_files_on_request(tmp_path):

@@ -20,7 +20,7 @@ __all__ = ["ConfigError", "TrainConfig", "build", "from_json", "load", "to_json"
 
 EnvT = TypeVar("EnvT")
 AlgorithmT = TypeVar("AlgorithmT")
-Layout = Literal["auto", "workers", "vmap"]
+Layout = Literal["auto", "workers", "vmap", "map", "sharded"]
 DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 
 
@@ -54,7 +54,9 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     """Training runs of a sweep; `train` runs one of them."""
     layout: Layout = "auto"
     """How a sweep computes its seeds: `workers`, one single-threaded process per core; `vmap`, all
-    in one program, for accelerators; `auto` takes `workers` on a CPU. Files are the same."""
+    at once in one program; `map`, one after the other in one program; `sharded`, over all devices.
+    `auto` takes `workers` on a CPU, `vmap` on one accelerator, `sharded` on several. The files are
+    the same."""
 
     def __post_init__(self) -> None:
         intervals = ("eval_interval", "log_interval", "checkpoint_interval")

@@ -15,7 +15,7 @@ from hmasd_jax.arguments import SweepOptions, TrainOptions
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.plan import make_plan
 from hmasd_jax.progress import Display
-from hmasd_jax.trainer import Event, Job, train_seeds
+from hmasd_jax.trainer import Event, Job, choose_layout, train_seeds
 
 INTERRUPTED = 130
 FAILED = 1
@@ -74,11 +74,11 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
 def describe(config: TrainConfig, seeds: list[int], run: Path, command: str) -> str:
     """What follows from the configuration."""
     plan = make_plan(config)
-    layout = sweep.choose_layout(config)
+    layout: str = choose_layout(config)
     if command == "train" and config.layout != "workers":
         layout = "this process"
-    workers = min(len(run_folder.available_cores()), len(seeds))
-    layout += f" ({workers} single-threaded processes)" if layout == "workers" else ""
+    if layout == "workers":
+        layout += f" ({len(sweep.worker_cores(len(seeds)))} single-threaded processes)"
     per_update, names = plan.env_steps_per_update, configs.to_json(config)
     lines = [
         f"run folder       {run}",

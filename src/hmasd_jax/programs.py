@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,6 +12,8 @@ from hmasd_jax import config as configs
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.evaluate import evaluate
 from hmasd_jax.types import Algorithm, Key, Learner, Metrics
+
+BatchLayout = Literal["vmap", "map", "sharded"]
 
 EVALUATION = 2**31
 """Folded into the experiment's key, where training runs fold in their small index."""
@@ -30,6 +32,7 @@ class Advanced(NamedTuple):
 class Programs(NamedTuple):
     """Executables for a fixed number of seeds."""
 
+    num_seeds: int
     init: Callable[[Key], Any]
     advance: Callable[[Any, Array], Advanced]
     """`advance(states, num_updates)`; `states` is donated."""
@@ -56,8 +59,14 @@ def state_template(algorithm: Algorithm) -> Any:
     return jax.eval_shape(algorithm.init, jax.random.key(0))
 
 
-def compile_programs(config: TrainConfig, num_seeds: int) -> Programs:
-    """Build and compile everything that training `num_seeds` seeds at once runs."""
+def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -> Programs:
+    """Build and compile everything that training `num_seeds` seeds at once runs.
+
+    Args:
+        config: the run.
+        num_seeds: with `sharded`, a multiple of `jax.local_device_count()`.
+        layout: how the seeds are batched.
+    """
     start = time.perf_counter()
     env, algorithm = configs.build(config)
     update = jax.jit(algorithm.update)  # traced once although used twice below
@@ -78,18 +87,18 @@ def compile_programs(config: TrainConfig, num_seeds: int) -> Programs:
         return evaluate(env, algorithm.policy(state, greedy=True), key, config.eval_episodes)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    init = jax.jit(batched(algorithm.init, num_seeds)).lower(keys)
+    init = jax.jit(batched(algorithm.init, num_seeds, layout)).lower(keys)
     states = init.out_info
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    advance_seeds = jax.jit(batched(advance, num_seeds, (0, None)), donate_argnums=0)
-    evaluate_seeds = jax.jit(batched(play, num_seeds, (0, 0)))
+    advance_seeds = jax.jit(batched(advance, num_seeds, layout, (0, None)), donate_argnums=0)
+    evaluate_seeds = jax.jit(batched(play, num_seeds, layout, (0, 0)))
     programs = (
         init.compile(),
         advance_seeds.lower(states, count).compile(),
         evaluate_seeds.lower(states, keys).compile(),
     )
     memory = max(_memory_bytes(program) for program in programs)
-    return Programs(*programs, memory_bytes=memory, compile_seconds=time.perf_counter() - start)
+    return Programs(num_seeds, *programs, memory, time.perf_counter() - start)
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
@@ -102,22 +111,49 @@ def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
     return jnp.stack([jnp.isfinite(x).all() for x in floats]).all()
 
 
-def batched(function: Callable, num_seeds: int, in_axes: Sequence[int | None] = (0,)) -> Callable:
-    """`function` over a leading axis of seeds.
+def batched(
+    function: Callable,
+    num_seeds: int,
+    layout: BatchLayout = "vmap",
+    in_axes: Sequence[int | None] = (0,),
+) -> Callable:
+    """`function` over a leading axis of seeds; arguments whose `in_axes` is None are shared.
 
     A single seed is not vmapped: on a CPU a batched matrix product is slower than a plain one.
     """
-    if num_seeds > 1:
-        return jax.vmap(function, in_axes=tuple(in_axes))
+    in_axes = tuple(in_axes)
+    if layout == "sharded":
+        return _sharded(function, num_seeds, in_axes)
+    if num_seeds > 1 and layout == "vmap":
+        return jax.vmap(function, in_axes)
 
-    def single(*args):
-        args = [
-            arg if axis is None else jax.tree.map(lambda x: x[0], arg)
-            for arg, axis in zip(args, in_axes)
-        ]
-        return jax.tree.map(lambda x: x[None], function(*args))
+    def over_seeds(*args):
+        def one(rows):
+            chosen = zip(rows, args, in_axes)
+            return function(*(arg if axis is None else row for row, arg, axis in chosen))
 
-    return single
+        rows = tuple(() if axis is None else arg for arg, axis in zip(args, in_axes))
+        if num_seeds > 1:
+            return jax.lax.map(one, rows)
+        only = one(jax.tree.map(lambda x: x[0], rows))
+        return jax.tree.map(lambda x: x[None], only)
+
+    return over_seeds
+
+
+def _sharded(function: Callable, num_seeds: int, in_axes: Sequence[int | None]) -> Callable:
+    """An equal share of the seeds on each device of this process, none of them talking."""
+    devices = jax.local_devices()
+    mesh = jax.sharding.Mesh(devices, ("seeds",))
+    by_seed, shared = jax.P("seeds"), jax.P()
+    inner: BatchLayout = "map" if devices[0].platform == "cpu" else "vmap"
+    return jax.shard_map(
+        batched(function, num_seeds // len(devices), inner, in_axes),
+        mesh=mesh,
+        in_specs=tuple(shared if axis is None else by_seed for axis in in_axes),
+        out_specs=by_seed,
+        check_vma=False,
+    )
 
 
 def _memory_bytes(program: Any) -> int:

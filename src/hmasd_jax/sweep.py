@@ -1,9 +1,8 @@
-"""Seeds over the cores or the accelerator of one machine.
+"""Seeds over the cores of one machine: the layout `workers`.
 
-`workers`: one single-threaded process per core, each training one seed after the other. At the
-sizes of the paper this is the fastest way to use a CPU: threads inside one process waste about a
-quarter of each core, and vmapping over seeds costs more still. `vmap`: all seeds in one program,
-the fastest way to use an accelerator.
+One single-threaded process per core trains one seed after the other. At the sizes of the paper this
+is the fastest way to use a CPU: threads inside one process waste about a quarter of each core, and
+vmapping over seeds costs more still. The other layouts are one program each, see `programs`.
 """
 
 import multiprocessing
@@ -20,25 +19,23 @@ from pathlib import Path
 import jax
 
 from hmasd_jax import config as configs
-from hmasd_jax import run_folder
-from hmasd_jax.config import TrainConfig
-from hmasd_jax.trainer import ENDS, Event, Job, train_seeds
+from hmasd_jax import memory, run_folder
+from hmasd_jax.trainer import ENDS, Event, Job, choose_layout, train_seeds
 
 POLL_SECONDS = 0.5
 
 
-def choose_layout(config: TrainConfig) -> str:
-    """What `auto` stands for on this machine."""
-    if config.layout != "auto":
-        return config.layout
-    return "workers" if jax.default_backend() == "cpu" else "vmap"
-
-
 def run_sweep(job: Job, indices: list[int]) -> dict[int, Event]:
     """Train the seeds in the layout that the configuration asks for; how each ended."""
-    if choose_layout(job.config) == "vmap":
+    if choose_layout(job.config) != "workers":
         return train_seeds(job, indices)
-    return run_workers(job, indices, run_folder.available_cores())
+    return run_workers(job, indices, worker_cores(len(indices)))
+
+
+def worker_cores(num_seeds: int) -> list[int]:
+    """The cores that a sweep of so many seeds gets workers on."""
+    cores = run_folder.available_cores()[:num_seeds]
+    return cores[: memory.workers_at_once(len(cores))]
 
 
 @dataclass

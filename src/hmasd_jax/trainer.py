@@ -12,9 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hmasd_jax import checkpoint, logging, run_folder
+from hmasd_jax import checkpoint, logging, memory, run_folder
 from hmasd_jax import config as configs
-from hmasd_jax.config import TrainConfig
+from hmasd_jax.config import Layout, TrainConfig
 from hmasd_jax.plan import Plan, make_plan
 from hmasd_jax.programs import (
     Programs,
@@ -124,7 +124,7 @@ def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:
             with ExitStack() as locks:
                 for seed in seeds:
                     locks.enter_context(run_folder.lock(job.run, seed.index))
-                _train_batch(job, seeds, env_steps)
+                _train_group(job, seeds, env_steps)
         except (run_folder.RunError, checkpoint.CheckpointError) as error:
             for seed in seeds:
                 seed.end("failed", message=str(error))
@@ -136,23 +136,58 @@ def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:
     return {seed.index: seed.result for seed in everyone if seed.result is not None}
 
 
-def _train_batch(job: Job, seeds: list[Seed], env_steps: int) -> None:
-    """Train seeds that all stand at `env_steps`."""
+def _train_group(job: Job, seeds: list[Seed], env_steps: int) -> None:
+    """Train seeds that all stand at `env_steps`, as many at once as fit into memory."""
     plan = make_plan(job.config)
-    for seed in seeds:
-        job.report(Event("start", seed.index, {"env_steps": env_steps}))
     if env_steps == plan.env_steps:
         for seed in seeds:
+            job.report(Event("start", seed.index, {"env_steps": env_steps}))
             seed.end("finished", env_steps=env_steps)
         return
-    programs = compiled(job.config, len(seeds))
+    size = memory.seeds_at_once(len(seeds), lambda n: _programs(job.config, n).memory_bytes)
+    for first in range(0, len(seeds), size):
+        _train_batch(job, plan, seeds[first : first + size], size, env_steps)
+
+
+def _train_batch(job: Job, plan: Plan, seeds: list[Seed], size: int, env_steps: int) -> None:
+    """Train up to `size` seeds in lockstep, with the programs for `size`."""
+    for seed in seeds:
+        job.report(Event("start", seed.index, {"env_steps": env_steps}))
+    if job.should_stop():
+        for seed in seeds:
+            seed.end("interrupted", env_steps=env_steps)
+        return
+    programs = _programs(job.config, size)
     for seed in seeds:
         numbers = {"seconds": programs.compile_seconds, "memory_bytes": programs.memory_bytes}
         job.report(Event("compiled", seed.index, numbers))
-    states = _initial_states(job, programs, [seed.index for seed in seeds], env_steps)
+    indices = [seed.index for seed in seeds]
+    # Where the programs take more seeds than there are, the last one is computed several times.
+    indices += indices[-1:] * (programs.num_seeds - len(indices))
+    states = _initial_states(job, programs, indices, env_steps)
     for seed in seeds:
         seed.open(env_steps)
     _loop(job, plan, programs, seeds, states, env_steps // plan.env_steps_per_update)
+
+
+def _programs(config: TrainConfig, num_seeds: int) -> Programs:
+    """The programs for at least `num_seeds` seeds in the layout of the run."""
+    layout = choose_layout(config)
+    if layout == "workers" or num_seeds == 1:
+        layout = "vmap"
+    if layout == "sharded":
+        devices = jax.local_device_count()
+        num_seeds = -(-num_seeds // devices) * devices
+    return compiled(config, num_seeds, layout)
+
+
+def choose_layout(config: TrainConfig) -> Layout:
+    """What `auto` stands for on this machine."""
+    if config.layout != "auto":
+        return config.layout
+    if jax.default_backend() == "cpu":
+        return "workers"
+    return "sharded" if jax.local_device_count() > 1 else "vmap"
 
 
 def _initial_states(job: Job, programs: Programs, indices: list[int], env_steps: int) -> Any:
@@ -205,6 +240,7 @@ def _loop(
 def _evaluate(job: Job, programs: Programs, seeds: list[Seed], states: Any, env_steps: int) -> None:
     """Evaluate the states as they are now."""
     keys = [evaluation_key(job.config, seed.index, env_steps) for seed in seeds]
+    keys += keys[-1:] * (programs.num_seeds - len(keys))
     rows = _rows(programs.evaluate(states, jnp.stack(keys)))
     for seed, row in zip(seeds, rows):
         if seed.result is None:
