@@ -73,7 +73,7 @@ def row(path: Path) -> str:
         f"[{path.stem}](../{path.relative_to(ROOT)})",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
-        PAPER.get(path.parent.name, "") if path.stem == "hmasd" else "",
+        PAPER.get(path.parent.name, "") if path.stem.startswith("hmasd") else "",
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
