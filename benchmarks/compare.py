@@ -1,0 +1,183 @@
+"""Side by side with JaxMARL, alternating in one process on one core.
+
+python benchmarks/compare.py [--jaxmarl CHECKOUT] [--json]        (needs the extra `compare`)
+
+Environments: random play here and in JaxMARL's package. Training, given a checkout of JaxMARL
+(its trainers are not in its package): one update of ours against one of its MAPPO-RNN on SMAX 3m,
+at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
+"""
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import jax
+
+import envs_jax
+from environments import random_play
+from hmasd_jax import config as configs
+from hmasd_jax import run_folder
+from measure import Row, Timing, compiled, isolated, parser, report
+from training import settings
+
+COPIES, STEPS = 32, 100
+THEIR_ENVIRONMENTS = {"overcooked": {}, "HeuristicEnemySMAX": {"scenario": "3m"}}
+THEIR_TRAINER = Path("baselines/MAPPO/mappo_rnn_smax.py")
+THEIR_SETTINGS = {
+    "LR": 5e-4,
+    "NUM_ENVS": COPIES,
+    "NUM_STEPS": STEPS,
+    "FC_DIM_SIZE": 64,
+    "GRU_HIDDEN_DIM": 64,
+    "UPDATE_EPOCHS": 15,
+    "NUM_MINIBATCHES": 1,
+    "GAMMA": 0.99,
+    "GAE_LAMBDA": 0.95,
+    "CLIP_EPS": 0.2,
+    "SCALE_CLIP_EPS": False,
+    "ENT_COEF": 0.01,
+    "VF_COEF": 1.0,
+    "MAX_GRAD_NORM": 10.0,
+    "ACTIVATION": "relu",
+    "OBS_WITH_AGENT_ID": True,
+    "MAP_NAME": "3m",
+    "ENV_KWARGS": {},
+    "ANNEAL_LR": False,
+    "SEED": 0,
+}
+
+Contender = tuple[Callable[[], Any], float, int]
+"""What to call, the seconds it took to compile, and environment steps per call."""
+
+
+def alternate(contenders: dict[str, Contender], repeats: int) -> dict[str, Timing]:
+    """Time all contenders in turn, `repeats` times over, after a call each that does not count."""
+    clocks: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
+    for call, _, _ in contenders.values():
+        jax.block_until_ready(call())
+    for _ in range(repeats):
+        for name, (call, _, _) in contenders.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            jax.block_until_ready(call())
+            clocks[name].append((time.perf_counter() - wall, time.process_time() - cpu))
+    timings = {}
+    for name, seconds in clocks.items():
+        walls, cpus = zip(*seconds)
+        wall = statistics.median(walls)
+        spread = (max(walls) - min(walls)) / wall
+        timings[name] = Timing(wall, statistics.median(cpus), spread)
+    return timings
+
+
+def bench_environments(env: str, steps: int, repeats: int) -> list[Row]:
+    """Random play in ours and theirs."""
+    contenders = {f"{env}, random play": random_play(envs_jax.make(env), COPIES, steps)}
+    for name, options in THEIR_ENVIRONMENTS.items():
+        contenders[f"JaxMARL {name}, random play"] = _their_play(name, options, steps)
+    timings = alternate(contenders, repeats)
+    return [
+        Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
+        for name, (_, compile_s, env_steps) in contenders.items()
+    ]
+
+
+def _their_play(name: str, options: dict[str, Any], steps: int) -> Contender:
+    import jaxmarl
+    from jaxmarl.environments.smax import map_name_to_scenario
+
+    if "scenario" in options:
+        options = options | {"scenario": map_name_to_scenario(options["scenario"])}
+    env = jaxmarl.make(name, **options)
+    spaces = [env.action_space(agent) for agent in env.agents]
+
+    def one_step(key, state):
+        key_action, key_step = jax.random.split(key)
+        keys = jax.random.split(key_action, len(spaces))
+        actions = {a: s.sample(k) for a, s, k in zip(env.agents, spaces, keys)}
+        obs, state, reward, _, _ = env.step(key_step, state, actions)
+        return state, (obs, reward)
+
+    def play(states, key):
+        def step(states, key):
+            states, out = jax.vmap(one_step)(jax.random.split(key, COPIES), states)
+            return states, jax.tree.map(jax.numpy.sum, out)
+
+        return jax.lax.scan(step, states, jax.random.split(key, steps))
+
+    key = jax.random.key(0)
+    _, states = jax.vmap(env.reset)(jax.random.split(key, COPIES))
+    program, compile_s = compiled(play, states, key)
+    return lambda: program(states, key), compile_s, COPIES * steps
+
+
+def bench_training(env: str, algorithm: str, checkout: Path, quick: bool, repeats: int) -> list:
+    """One update of ours and of theirs."""
+    config = settings(env, algorithm, quick)
+    _, learner = configs.build(config)
+    state = jax.jit(learner.init)(jax.random.key(0))
+    update, compile_s = compiled(learner.update, state)
+    ours = (lambda: update(state)), compile_s, config.env_steps_per_update
+    contenders = {
+        f"{algorithm} on {env}, one update": ours,
+        "JaxMARL MAPPO-RNN on SMAX 3m": _their_training(checkout, updates=1 if quick else 5),
+    }
+    timings = alternate(contenders, repeats)
+    return [
+        Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
+        for name, (_, compile_s, env_steps) in contenders.items()
+    ]
+
+
+def _their_training(checkout: Path, updates: int) -> Contender:
+    """Their trainer for several updates; loading and initializing its nets hardly counts."""
+    source = (checkout / THEIR_TRAINER).read_text()
+    width = THEIR_SETTINGS["GRU_HIDDEN_DIM"]
+    fixed = 'initialize_carry(config["NUM_ACTORS"], 128)'  # hard-coded whatever the setting
+    if fixed not in source:
+        raise SystemExit(f"{checkout / THEIR_TRAINER} is not the version this was written for")
+    nothing = SimpleNamespace(log=lambda *args, **kwargs: None)
+    stubs = {"wandb": nothing, "hydra": _Hydra(), "omegaconf": SimpleNamespace(OmegaConf=None)}
+    trainer = ModuleType("their_trainer")
+    saved = {name: sys.modules.get(name) for name in stubs}
+    sys.modules.update(stubs)  # they only serve its command line and its logging
+    try:
+        exec(source.replace(fixed, fixed.replace("128", str(width))), trainer.__dict__)
+    finally:
+        for name, module in saved.items():
+            sys.modules.pop(name) if module is None else sys.modules.update({name: module})
+    env_steps = updates * COPIES * STEPS
+    train = trainer.make_train(THEIR_SETTINGS | {"TOTAL_TIMESTEPS": env_steps})
+    program, compile_s = compiled(train, jax.random.PRNGKey(0))
+    return lambda: program(jax.random.PRNGKey(0)), compile_s, env_steps
+
+
+class _Hydra(ModuleType):
+    def __init__(self) -> None:
+        super().__init__("hydra")
+
+    @staticmethod
+    def main(**_: Any) -> Callable:
+        """Leave the decorated function as it is."""
+        return lambda function: function
+
+
+def main() -> None:
+    """Run the benchmark from the command line."""
+    options = parser(__doc__)
+    options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
+    args = options.parse_args()
+    core = run_folder.available_cores()[:1]
+    steps = 10 if args.quick else 1000
+    rows = isolated(bench_environments, args.env, steps, args.repeats, cores=core)
+    if args.jaxmarl:
+        work = args.env, args.algorithm, args.jaxmarl, args.quick, args.repeats
+        rows += isolated(bench_training, *work, cores=core)
+    report(rows, args.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+"""Environment steps per second against the number of copies, observations and resets included.
+
+python benchmarks/environments.py [--env alice_and_bob] [--copies 32 1024] [--json]
+
+Random actions on one core, in the loop that training uses.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+import envs_jax
+from hmasd_jax import rollout, run_folder
+from measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
+
+
+def random_play(
+    env: envs_jax.Environment, copies: int, steps: int
+) -> tuple[Callable[[], Any], float, int]:
+    """A call that unrolls random play, seconds to compile it, and environment steps per call."""
+
+    def random_actions(memory, timestep, first, key):
+        logits = jnp.where(timestep.action_mask, 0.0, -jnp.inf)
+        return memory, jax.random.categorical(key, logits), None
+
+    def play(carry, key):
+        carry, _, transitions = rollout.unroll(env, random_actions, carry, (), key, steps)
+        outcome = transitions.outcome  # sums, so that everything is computed but not kept
+        return carry, jax.tree.map(jnp.sum, (outcome.obs, outcome.state, outcome.reward))
+
+    key = jax.random.key(0)
+    carry = rollout.reset(env, key, copies)
+    program, compile_s = compiled(play, carry, key)
+    return lambda: program(carry, key), compile_s, copies * steps
+
+
+def bench(name: str, copies: int, steps: int, repeats: int) -> Row:
+    """Random play in `copies` copies of the environment `name`."""
+    call, compile_s, env_steps = random_play(envs_jax.make(name), copies, steps)
+    timing = measure(call, repeats)
+    return Row(
+        name=f"{copies} copies",
+        env=name,
+        **timing.rates(env_steps),
+        compile_s=compile_s,
+        peak_rss_mb=peak_rss_mb(),
+    )
+
+
+def main() -> None:
+    """Run the benchmark from the command line."""
+    options = parser(__doc__)
+    options.add_argument("--copies", type=int, nargs="+", default=[1, 8, 32, 128, 1024, 8192])
+    args = options.parse_args()
+    copies, env_steps = ([2], 20) if args.quick else (args.copies, 1_000_000)
+    core = run_folder.available_cores()[:1]
+    rows = (
+        isolated(bench, args.env, n, max(env_steps // n, 10), args.repeats, cores=core)
+        for n in copies
+    )
+    report(rows, args.json)
+
+
+if __name__ == "__main__":
+    main()

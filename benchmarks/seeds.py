@@ -1,0 +1,109 @@
+"""How throughput grows with the number of seeds, for each layout of a sweep.
+
+python benchmarks/seeds.py [--seeds 1 2 4] [--layout workers vmap map sharded] [--json]
+
+On a CPU the row with one seed in the layout `workers` is one seed pinned to one core: what the
+others are compared with. `sharded` takes each core for a device.
+"""
+
+import math
+import multiprocessing
+import os
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+
+from hmasd_jax import config as configs
+from hmasd_jax import run_folder
+from hmasd_jax.programs import BatchLayout, batched
+from measure import Row, Timing, compiled, isolated, measure, parser, peak_rss_mb, report
+from training import settings
+
+LAYOUTS = ("workers", "vmap", "map", "sharded")
+
+
+def in_one_program(config: Any, seeds: int, layout: BatchLayout, devices: int, repeats: int) -> Row:
+    """All seeds in one process and one program."""
+    if layout == "sharded":
+        flags = os.environ.get("XLA_FLAGS", "")
+        os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}"
+    _, learner = configs.build(config)
+    keys = jax.random.split(jax.random.key(0), seeds)
+    states = jax.jit(batched(learner.init, seeds, layout))(keys)
+    update, compile_s = compiled(batched(learner.update, seeds, layout), states)
+    timing = measure(lambda: update(states), repeats)
+    return _row(config, seeds, layout, timing, compile_s, peak_rss_mb())
+
+
+def with_workers(config: Any, seeds: int, cores: list[int], repeats: int) -> Row:
+    """A process per core, each with its share of the seeds one after the other."""
+    cores = cores[:seeds]
+    shares = [len(range(worker, seeds, len(cores))) for worker in range(len(cores))]
+    barrier = multiprocessing.get_context("spawn").Barrier(len(cores))
+
+    def run(core: int, share: int) -> tuple[Timing, float, float]:
+        return isolated(_work, config, share, repeats, barrier, cores=[core])
+
+    with ThreadPoolExecutor(len(cores)) as pool:
+        timings, compile_s, peaks = zip(*pool.map(run, cores, shares))
+    total = Timing(
+        max(timing.wall for timing in timings),
+        sum(timing.cpu for timing in timings),
+        max(timing.spread for timing in timings),
+    )
+    return _row(config, seeds, "workers", total, max(compile_s), sum(peaks))
+
+
+def _work(config: Any, seeds: int, repeats: int, barrier: Any) -> tuple[Timing, float, float]:
+    _, learner = configs.build(config)
+    state = jax.jit(learner.init)(jax.random.key(0))
+    update, compile_s = compiled(learner.update, state)
+    barrier.wait()  # nobody is timed while another still compiles
+
+    def one_after_the_other() -> None:
+        for _ in range(seeds):
+            jax.block_until_ready(update(state))
+
+    return measure(one_after_the_other, repeats), compile_s, peak_rss_mb()
+
+
+def _row(config, seeds, layout, timing, compile_s, peak) -> Row:
+    names = configs.to_json(config)
+    return Row(
+        f"{seeds} seeds, {layout}",
+        names["env"]["name"],
+        names["algorithm"]["name"],
+        seeds,
+        layout,
+        **timing.rates(seeds * config.env_steps_per_update),
+        compile_s=compile_s,
+        peak_rss_mb=peak,
+    )
+
+
+def main() -> None:
+    """Run the benchmark from the command line."""
+    args = parser(__doc__).parse_args()
+    config = settings(args.env, args.algorithm, args.quick)
+    cores = run_folder.available_cores()
+    on_cpu = jax.default_backend() == "cpu"
+    devices = len(cores) if on_cpu else jax.local_device_count()
+    layouts = args.layout or [name for name in LAYOUTS if on_cpu or name != "workers"]
+    counts = args.seeds or ([2] if args.quick else [1, 2, 4] if on_cpu else [1, 4, 16, 64])
+
+    def rows():
+        for layout in layouts:
+            for seeds in counts:
+                if layout == "workers":
+                    yield with_workers(config, seeds, cores, args.repeats)
+                    continue
+                if layout == "sharded":
+                    seeds = math.ceil(seeds / devices) * devices
+                yield isolated(in_one_program, config, seeds, layout, devices, args.repeats)
+
+    report(rows(), args.json)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""Environment steps per second of whole updates on one core, and where the time goes.
+
+python benchmarks/training.py [--env alice_and_bob] [--algorithm hmasd] [--json]
+
+The row `update` is one update at the paper's settings; for HMASD its parts follow, each computed
+alone. GFLOP count matrix products only.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import chain
+from typing import Any
+
+import jax
+
+import envs_jax
+from flops import ceiling_gflops, matmul_flops
+from hmasd_jax import config as configs
+from hmasd_jax import run_folder
+from measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
+
+QUICK = {"algorithm.ppo.num_envs": 2, "algorithm.ppo.num_epochs": 1}
+
+
+def settings(env: str, algorithm: str, quick: bool, **overrides: Any) -> configs.TrainConfig:
+    """The preset of `algorithm` on `env`, or a tiny version of it."""
+    names = {"env.name": env, "algorithm.name": algorithm}
+    return configs.load(overrides=names | (QUICK if quick else {}) | overrides)
+
+
+def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tuple]]:
+    """The parts of one update of HMASD, each with arguments from a real rollout."""
+    from hmasd_jax.hmasd import algorithm
+    from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
+    from hmasd_jax.hmasd.collect import collect
+    from hmasd_jax.hmasd.parts import make_parts
+
+    parts = make_parts(config.env, config.algorithm)
+    key = jax.random.key(0)
+    state = jax.jit(lambda key: algorithm.init_state(parts, key))(key)
+    networks = state.coordinator.params, state.discoverer.params
+
+    def rollout(networks, env, memory, key):
+        return collect(parts, *networks, env, memory, key)
+
+    yield "rollout", rollout, (networks, state.env, state.memory, key)
+    data = jax.jit(rollout)(networks, state.env, state.memory, key)
+    reward = data.transitions.outcome.reward[..., None] + jax.numpy.zeros(config.env.num_agents)
+    phases = {
+        "coordinator": (
+            algorithm.train_coordinator,
+            high_batch(parts, networks[0], state.coordinator_norm, data, key),
+        ),
+        "discoverer": (
+            algorithm.train_discoverer,
+            low_batch(parts, networks[1], state.discoverer_norm, data, reward),
+        ),
+        "discriminators": (algorithm.train_discriminators, skill_pairs(parts, data)),
+    }
+    for name, (train, batch) in phases.items():
+        yield name, lambda *args, train=train: train(parts, *args), (state, batch, key)
+
+
+PARTS = {"hmasd": hmasd_parts}
+
+
+def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
+    """Measure the update and its parts in this process."""
+    config = settings(env, algorithm, quick)
+    env_steps = config.env_steps_per_update
+    _, learner = configs.build(config)
+    init, init_s = compiled(learner.init, jax.random.key(0))
+    state = init(jax.random.key(0))
+    rows = [Row("init", env, algorithm, seeds=1, compile_s=init_s, peak_rss_mb=peak_rss_mb())]
+    ceiling = ceiling_gflops(repeats)
+    work = [("update", learner.update, (state,))]
+    for name, function, args in chain(work, PARTS.get(algorithm, lambda _: ())(config)):
+        program, compile_s = compiled(function, *args)
+        timing = measure(lambda program=program, args=args: program(*args), repeats)
+        rows.append(
+            Row(
+                name,
+                env,
+                algorithm,
+                seeds=1,
+                **timing.rates(env_steps),
+                gflops=matmul_flops(function, *args) / timing.cpu / 1e9,
+                ceiling_gflops=ceiling,
+                compile_s=compile_s,
+                peak_rss_mb=peak_rss_mb(),
+            )
+        )
+    return rows
+
+
+def main() -> None:
+    """Run the benchmark from the command line."""
+    args = parser(__doc__).parse_args()
+    envs_jax.make(args.env)  # a wrong name is told before a process starts
+    core = run_folder.available_cores()[:1]
+    rows = isolated(bench, args.env, args.algorithm, args.quick, args.repeats, cores=core)
+    report(rows, args.json)
+
+
+if __name__ == "__main__":
+    main()
