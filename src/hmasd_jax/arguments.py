@@ -21,7 +21,7 @@ Options = TypeVar("Options")
 
 
 @dataclass(frozen=True)
-class SweepOptions:
+class RunOptions:
     """Where a run reads from and writes to."""
 
     config: Path | None = None
@@ -37,7 +37,16 @@ class SweepOptions:
 
 
 @dataclass(frozen=True)
-class TrainOptions(SweepOptions):
+class SweepOptions(RunOptions):
+    """Where a run reads from and writes to, and what shares the work."""
+
+    distributed: bool = False
+    """Share the seeds among the processes that this command was started in, by srun, mpirun or the
+    environment variables JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID."""
+
+
+@dataclass(frozen=True)
+class TrainOptions(RunOptions):
     """Where a run reads from and writes to, and which seed it is."""
 
     seed_index: int = 0

@@ -10,9 +10,10 @@ from typing import Any
 from rich.console import Console
 
 from hmasd_jax import config as configs
-from hmasd_jax import logging, run_folder, summary, sweep
-from hmasd_jax.arguments import SweepOptions, TrainOptions
+from hmasd_jax import distributed, logging, run_folder, summary, sweep
+from hmasd_jax.arguments import RunOptions, SweepOptions, TrainOptions
 from hmasd_jax.config import TrainConfig
+from hmasd_jax.distributed import ALONE, Group
 from hmasd_jax.plan import make_plan
 from hmasd_jax.progress import Display
 from hmasd_jax.trainer import Event, Job, choose_layout, train_seeds
@@ -28,31 +29,56 @@ def train(config: TrainConfig, options: TrainOptions, words: list[str]) -> int:
 
 def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> int:
     """Train seeds 0 .. num_seeds - 1; the exit code."""
-    return _experiment("seed_sweep", config, options, words, list(range(config.num_seeds)))
+    seeds = list(range(config.num_seeds))
+    if not options.distributed:
+        return _experiment("seed_sweep", config, options, words, seeds)
+    if options.run_dir is None:
+        raise run_folder.RunError("--distributed needs --run-dir, a folder all processes can see")
+    return _experiment("seed_sweep", config, options, words, seeds, distributed.join())
 
 
 def _experiment(
-    command: str, config: TrainConfig, options: SweepOptions, words: list[str], seeds: list[int]
+    command: str,
+    config: TrainConfig,
+    options: RunOptions,
+    words: list[str],
+    seeds: list[int],
+    group: Group = ALONE,
 ) -> int:
     """Prepare the folder, train, summarize."""
     extras = tuple(name for name in ("tensorboard", "wandb") if getattr(options, name))
     logging.check_extras(extras)
-    console = Console()
+    console = Console(quiet=not group.leads)
     run = options.run_dir or _default_folder(config)
     line = run_folder.shell_command([command, *words])
-    if options.resume:
-        check_same(run_folder.read_config(run), config, run)
-        run_folder.note_resume(run, line)
-    else:
-        run_folder.create(run, config, line)
-    text = describe(config, seeds, run, command)
+    _prepare(run, config, options.resume, line, group)
+    mine = group.share(seeds)
+    text = describe(config, seeds, run, command, group)
     console.print(text, markup=False, highlight=False, soft_wrap=True)
-    display = Display(console, seeds, make_plan(config).env_steps)
+    display = Display(console, mine, make_plan(config).env_steps)
     with stop_on_signal() as should_stop, display:
         job = Job(run, config, extras, display.handle, should_stop)
         alone = command == "train" and config.layout != "workers"
-        results = train_seeds(job, seeds) if alone else sweep.run_sweep(job, seeds)
-    return conclude(console, run, results, command)
+        results = train_seeds(job, mine) if alone else sweep.run_sweep(job, mine)
+    results = distributed.gather(group, run, results)
+    return conclude(console, run, results, command) if group.leads else exit_code(results)
+
+
+def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], group: Group) -> None:
+    """Make the run folder, or insist that it is the one to continue; once for all processes."""
+    ok = False
+    try:
+        if group.leads and resume:
+            check_same(run_folder.read_config(run), config, run)
+            run_folder.note_resume(run, line)
+            distributed.forget(group, run)
+        elif group.leads:
+            run_folder.create(run, config, line)
+        ok = True
+    finally:
+        ok = group.follow(ok)
+    if not ok:
+        raise run_folder.RunError("the first process could not prepare the run: see its message")
 
 
 def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
@@ -71,14 +97,20 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
         )
 
 
-def describe(config: TrainConfig, seeds: list[int], run: Path, command: str) -> str:
+def describe(
+    config: TrainConfig, seeds: list[int], run: Path, command: str, group: Group = ALONE
+) -> str:
     """What follows from the configuration."""
     plan = make_plan(config)
     layout: str = choose_layout(config)
     if command == "train" and config.layout != "workers":
         layout = "this process"
     if layout == "workers":
-        layout += f" ({len(sweep.worker_cores(len(seeds)))} single-threaded processes)"
+        workers = len(sweep.worker_cores(len(group.share(seeds))))
+        layout += f" ({workers} single-threaded processes)"
+    if group.size > 1:
+        shown = ", ".join(map(str, group.share(seeds)))
+        layout += f", {group.size} processes (this one trains and shows {shown})"
     per_update, names = plan.env_steps_per_update, configs.to_json(config)
     lines = [
         f"run folder       {run}",
@@ -126,13 +158,13 @@ def conclude(
     summary.write(run, results)
     console.print(summary.table(run))
     failed = {seed: e.data["message"] for seed, e in sorted(results.items()) if e.kind == "failed"}
-    interrupted = any(event.kind == "interrupted" for event in results.values())
+    code = exit_code(results)
     for seed, message in failed.items():
         console.print(f"seed {seed} failed: {message}", markup=False, soft_wrap=True)
     again = f"python -m hmasd_jax.train {command} --run-dir {run} --resume"
-    if interrupted:
+    if code == INTERRUPTED:
         console.print(f"interrupted; to continue: {again}", markup=False, soft_wrap=True)
-        return INTERRUPTED
+        return code
     if failed:
         console.print(
             f"to run what failed again from its last checkpoint: {again}",
@@ -140,7 +172,13 @@ def conclude(
             soft_wrap=True,
         )
     summary.plot(console, run)
-    return FAILED if failed else 0
+    return code
+
+
+def exit_code(results: dict[int, Event]) -> int:
+    """What the process ends with."""
+    kinds = {event.kind for event in results.values()}
+    return INTERRUPTED if "interrupted" in kinds else FAILED if "failed" in kinds else 0
 
 
 def _default_folder(config: TrainConfig) -> Path:

@@ -1,0 +1,103 @@
+"""A sweep over two processes on this machine, connected by JAX's runtime."""
+
+import json
+import os
+import runpy
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hmasd_jax import logging, run_folder
+from hmasd_jax.run_folder import metrics_path
+from hmasd_jax.train import main
+
+TOY = Path(__file__).with_name("toy.py")
+runpy.run_path(str(TOY))
+SETTINGS = {
+    "algorithm.name": "toy",
+    "algorithm.ppo.num_envs": 2,
+    "algorithm.ppo.rollout_length": 10,
+    "env.max_steps": 4,
+    "total_env_steps": 200,
+    "log_interval": 40,
+    "eval_interval": 80,
+    "checkpoint_interval": 80,
+    "eval_episodes": 5,
+    "num_seeds": 3,
+}
+WORDS = [str(x) for name, value in SETTINGS.items() for x in (f"--{name}", value)]
+
+
+@pytest.fixture
+def sweep():
+    """`sweep(run, *words)`: two processes of one sweep; their exit codes and outputs."""
+    processes = []
+
+    def sweep(run, *words):
+        with socket.socket() as free:
+            free.bind(("localhost", 0))
+            address = f"localhost:{free.getsockname()[1]}"
+        command = [sys.executable, str(TOY), "seed_sweep", "--distributed", "--run-dir", str(run)]
+        for index in range(2):
+            env = os.environ | {
+                "JAX_COORDINATOR_ADDRESS": address,
+                "JAX_NUM_PROCESSES": "2",
+                "JAX_PROCESS_ID": str(index),
+            }
+            options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+            processes.append(subprocess.Popen([*command, *words], env=env, **options))
+        outputs = [process.communicate(timeout=120) for process in processes]
+        return [process.returncode for process in processes], outputs
+
+    yield sweep
+    for process in processes:
+        process.kill()
+
+
+def numbers(run, seed):
+    """Evaluations of a seed without what depends on the clock."""
+    records = logging.read(metrics_path(run, seed))
+    return [r["return"] for r in records if r["kind"] == "eval"]
+
+
+def test_two_processes_share_the_seeds_and_make_one_run(sweep, tmp_path):
+    run = tmp_path / "run"
+    codes, ((out, err), (quiet, _)) = sweep(run, *WORDS)
+    assert codes == [0, 0], err
+    assert run_folder.seeds_of(run) == [0, 1, 2]
+    assert "2 processes (this one trains and shows 0, 2)" in out
+    assert "seed" not in quiet  # gloo says that it is connected
+    # The first process sums up what both did, and leaves no notes behind.
+    summary = json.loads((run / "summary.json").read_text())
+    assert [summary["seeds"][str(seed)]["status"] for seed in range(3)] == ["finished"] * 3
+    assert (run / "curves.png").exists()
+    assert not list(run.glob("process_*"))
+    # Seed 1, which the second process trained, is the same run as alone.
+    alone = tmp_path / "alone"
+    assert main(["train", "--run-dir", str(alone), "--seed-index", "1", *WORDS]) == 0
+    assert numbers(run, 1) == numbers(alone, 1)
+
+
+def test_when_the_first_process_refuses_all_do(sweep, tmp_path):
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "thesis.tex").write_text("mine")
+    codes, ((_, first), (_, second)) = sweep(run, *WORDS)
+    assert codes == [2, 2]
+    assert "exists: continue it with --resume" in first
+    assert "the first process could not prepare the run" in second
+    assert [path.name for path in run.iterdir()] == ["thesis.tex"]
+
+
+def test_without_a_way_to_connect_one_line_says_what_to_set(tmp_path, capsys, monkeypatch):
+    monkeypatch.delenv("JAX_COORDINATOR_ADDRESS", raising=False)
+    assert main(["seed_sweep", "--distributed", *WORDS]) == 2
+    assert "--distributed needs --run-dir" in capsys.readouterr().err
+    command = [sys.executable, str(TOY), "seed_sweep", "--distributed", "--run-dir", "run", *WORDS]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert "JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID" in done.stderr
+    assert not (tmp_path / "run").exists()
