@@ -11,7 +11,7 @@ import jax
 import numpy as np
 import pytest
 
-from hmasd_jax import checkpoint, logging, memory, run_folder, trainer
+from hmasd_jax import checkpoint, experiment, logging, memory, run_folder, trainer
 from hmasd_jax import config as configs
 from hmasd_jax.policy import load_run
 from hmasd_jax.programs import evaluation_key, seed_key
@@ -238,6 +238,22 @@ def test_auto_layout_takes_all_accelerators(monkeypatch):
     assert trainer.choose_layout(config) == "vmap"
     monkeypatch.setattr(jax, "local_device_count", lambda: 2)
     assert trainer.choose_layout(config) == "sharded"
+
+
+@pytest.mark.parametrize(
+    ("backend", "before", "after"),
+    [("cpu", None, None), ("gpu", None, "~/.cache/hmasd_jax"), ("gpu", "elsewhere", "elsewhere")],
+)
+def test_executables_are_kept_on_accelerators(backend, before, after, monkeypatch):
+    monkeypatch.setattr(jax, "default_backend", lambda: backend)
+    was = jax.config.jax_compilation_cache_dir
+    try:
+        jax.config.update("jax_compilation_cache_dir", before)
+        experiment.keep_executables()
+        kept = jax.config.jax_compilation_cache_dir
+        assert kept == (after and str(Path(after).expanduser()))
+    finally:
+        jax.config.update("jax_compilation_cache_dir", was)
 
 
 def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path, monkeypatch):

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import jax
 from rich.console import Console
 
 from hmasd_jax import config as configs
@@ -52,6 +53,7 @@ def _experiment(
     run = options.run_dir or _default_folder(config)
     line = run_folder.shell_command([command, *words])
     _prepare(run, config, options.resume, line, group)
+    keep_executables()
     mine = group.share(seeds)
     text = describe(config, seeds, run, command, group)
     console.print(text, markup=False, highlight=False, soft_wrap=True)
@@ -79,6 +81,17 @@ def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], grou
         ok = group.follow(ok)
     if not ok:
         raise run_folder.RunError("the first process could not prepare the run: see its message")
+
+
+def keep_executables() -> None:
+    """Let JAX keep compiled programs for the next start, unless it was told where to already.
+
+    Not on a CPU: what is stored there holds for one kind of processor only, and XLA's check of that
+    cannot be relied on (jax issue 38445).
+    """
+    if jax.default_backend() != "cpu" and jax.config.jax_compilation_cache_dir is None:
+        folder = Path.home() / ".cache" / "hmasd_jax"
+        jax.config.update("jax_compilation_cache_dir", str(folder))
 
 
 def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:

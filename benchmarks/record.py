@@ -1,0 +1,90 @@
+"""Run benchmarks, keep what they print, and write their tables into docs/performance.md.
+
+python benchmarks/record.py NAME...          # run these (of BENCHMARKS), then write the tables
+python benchmarks/record.py                  # only write the tables, from the files that are there
+
+A table stands between `<!-- NAME -->` and `<!-- end -->`; the text around it is written by hand.
+"""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from hmasd_jax import run_folder
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "performance.md"
+KEPT = ROOT / "results" / "benchmarks"
+BENCHMARKS = {
+    "environments": "benchmarks/environments.py",
+    "training": "benchmarks/training.py",
+    "seeds": "benchmarks/seeds.py",
+    "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
+    "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
+}
+ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
+DIGITS = 3
+
+
+def run(name: str) -> None:
+    """Run one benchmark; its rows go to results/benchmarks/NAME.json.
+
+    Raises:
+        SystemExit: it failed.
+    """
+    command = [*BENCHMARKS[name].split(), "--json"]
+    done = subprocess.run([sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        raise SystemExit(f"{name} failed")
+    about = run_folder.describe([])
+    kept = {
+        "command": f"python {BENCHMARKS[name]}",
+        **{key: about[key] for key in ABOUT},
+        "started": about["started"],
+        "rows": [json.loads(line) for line in done.stdout.splitlines()],
+    }
+    KEPT.mkdir(parents=True, exist_ok=True)
+    run_folder.write_json(KEPT / f"{name}.json", kept)
+
+
+def table(kept: dict[str, Any]) -> str:
+    """The rows of one benchmark as Markdown, under what was run where."""
+    rows = kept["rows"]
+    columns = [key for key in rows[0] if any(row[key] is not None for row in rows)]
+    head = [column.replace("_", " ") for column in columns]
+    lines = [head, ["---"] * len(head), *([_text(row[c]) for c in columns] for row in rows)]
+    about = ", ".join(f"{key} {kept[key]}" for key in ABOUT)
+    return "\n".join([f"`{kept['command']}`  ", f"{about}", "", *map(_line, lines)])
+
+
+def _line(cells: list[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, float):
+        return "" if value is None else str(value)
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.{DIGITS}g}"
+
+
+def write_page() -> None:
+    """Replace the tables in docs/performance.md by what was kept."""
+    page = PAGE.read_text()
+    for path in sorted(KEPT.glob("*.json")):
+        new = f"<!-- {path.stem} -->\n{table(json.loads(path.read_text()))}\n<!-- end -->"
+        pattern = rf"<!-- {path.stem} -->.*?<!-- end -->"
+        if not re.search(pattern, page, re.DOTALL):
+            raise SystemExit(f"{PAGE} has no place for {path.stem}: add <!-- {path.stem} -->")
+        page = re.sub(pattern, lambda _, new=new: new, page, flags=re.DOTALL)
+    PAGE.write_text(page)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        if name not in BENCHMARKS:
+            raise SystemExit(f"unknown benchmark {name!r} (known: {', '.join(BENCHMARKS)})")
+        run(name)
+    write_page()
