@@ -86,7 +86,10 @@ MISTAKES = [
     ({"num_seeds": 0}, "num_seeds must be at least 1, got 0"),
     ({"eval_interval": 0}, "eval_interval must be at least 1, got 0"),
     ({"eval_interval": Text("nan")}, "eval_interval must be a whole number, got nan"),
-    ({"layout": "wokers"}, "layout must be one of auto, workers, vmap; got 'wokers' (did you mean"),
+    (
+        {"layout": "wokers"},
+        "layout must be one of auto, workers, vmap, map, sharded; got 'wokers' (did you",
+    ),
     ({"env.observation": "onehot"}, "env.observation must be one of codes, one_hot; got 'onehot'"),
     ({"env.max_steps": 0}, "env.max_steps must be at least 1, got 0"),
     ({"total_env_steps": 3199}, "total_env_steps 3199 is less than one update takes (3200 ="),

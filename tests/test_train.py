@@ -270,6 +270,15 @@ def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path,
         assert ours == pytest.approx(theirs, rel=1e-5)
 
 
+def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch):
+    job, _ = make_job(tmp_path / "run", layout="vmap", total_env_steps=40)
+    monkeypatch.setattr(memory, "seeds_at_once", lambda count, _: 2)
+    asked = iter([False, True])  # before the only stretch of seeds 0 and 1, then before seed 2
+    results = train_seeds(job._replace(should_stop=lambda: next(asked)), [0, 1, 2])
+    assert [results[seed].kind for seed in range(3)] == ["finished", "finished", "interrupted"]
+    assert not metrics_path(job.run, 2).exists()
+
+
 @pytest.mark.parametrize(
     ("free", "size"), [(math.inf, 10), (1000, 10), (999, 5), (499, 4), (150, 1), (1, 1)]
 )

@@ -89,7 +89,8 @@ def keep_executables() -> None:
     Not on a CPU: what is stored there holds for one kind of processor only, and XLA's check of that
     cannot be relied on (jax issue 38445).
     """
-    if jax.default_backend() != "cpu" and jax.config.jax_compilation_cache_dir is None:
+    told = jax.config.values["jax_compilation_cache_dir"]
+    if jax.default_backend() != "cpu" and told is None:
         folder = Path.home() / ".cache" / "hmasd_jax"
         jax.config.update("jax_compilation_cache_dir", str(folder))
 

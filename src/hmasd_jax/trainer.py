@@ -146,17 +146,18 @@ def _train_group(job: Job, seeds: list[Seed], env_steps: int) -> None:
         return
     size = memory.seeds_at_once(len(seeds), lambda n: _programs(job.config, n).memory_bytes)
     for first in range(0, len(seeds), size):
-        _train_batch(job, plan, seeds[first : first + size], size, env_steps)
+        batch = seeds[first : first + size]
+        if first and job.should_stop():
+            for seed in batch:
+                seed.end("interrupted", env_steps=env_steps)
+        else:
+            _train_batch(job, plan, batch, size, env_steps)
 
 
 def _train_batch(job: Job, plan: Plan, seeds: list[Seed], size: int, env_steps: int) -> None:
     """Train up to `size` seeds in lockstep, with the programs for `size`."""
     for seed in seeds:
         job.report(Event("start", seed.index, {"env_steps": env_steps}))
-    if job.should_stop():
-        for seed in seeds:
-            seed.end("interrupted", env_steps=env_steps)
-        return
     programs = _programs(job.config, size)
     for seed in seeds:
         numbers = {"seconds": programs.compile_seconds, "memory_bytes": programs.memory_bytes}
