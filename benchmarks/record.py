@@ -21,7 +21,7 @@ KEPT = ROOT / "results" / "benchmarks"
 BENCHMARKS = {
     "environments": "benchmarks/environments.py",
     "training": "benchmarks/training.py",
-    "seeds": "benchmarks/seeds.py",
+    "seeds": "benchmarks/seeds.py --seeds 1 4 --layout workers",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
 }
