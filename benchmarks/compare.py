@@ -7,9 +7,7 @@ Environments: random play here and in JaxMARL's package. Training, given a check
 at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
 """
 
-import statistics
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -21,7 +19,7 @@ import envs_jax
 from environments import random_play
 from hmasd_jax import config as configs
 from hmasd_jax import run_folder
-from measure import Row, Timing, compiled, isolated, parser, report
+from measure import Row, alternate, compiled, isolated, parser, report
 from training import settings
 
 COPIES, STEPS = 32, 100
@@ -54,23 +52,13 @@ Contender = tuple[Callable[[], Any], float, int]
 """What to call, the seconds it took to compile, and environment steps per call."""
 
 
-def alternate(contenders: dict[str, Contender], repeats: int) -> dict[str, Timing]:
-    """Time all contenders in turn, `repeats` times over, after a call each that does not count."""
-    clocks: dict[str, list[tuple[float, float]]] = {name: [] for name in contenders}
-    for call, _, _ in contenders.values():
-        jax.block_until_ready(call())
-    for _ in range(repeats):
-        for name, (call, _, _) in contenders.items():
-            wall, cpu = time.perf_counter(), time.process_time()
-            jax.block_until_ready(call())
-            clocks[name].append((time.perf_counter() - wall, time.process_time() - cpu))
-    timings = {}
-    for name, seconds in clocks.items():
-        walls, cpus = zip(*seconds)
-        wall = statistics.median(walls)
-        spread = (max(walls) - min(walls)) / wall
-        timings[name] = Timing(wall, statistics.median(cpus), spread)
-    return timings
+def race(contenders: dict[str, Contender], repeats: int) -> list[Row]:
+    """Time all contenders in turn; a row each."""
+    timings = alternate({name: call for name, (call, _, _) in contenders.items()}, repeats)
+    return [
+        Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
+        for name, (_, compile_s, env_steps) in contenders.items()
+    ]
 
 
 def bench_environments(env: str, steps: int, repeats: int) -> list[Row]:
@@ -78,11 +66,7 @@ def bench_environments(env: str, steps: int, repeats: int) -> list[Row]:
     contenders = {f"{env}, random play": random_play(envs_jax.make(env), COPIES, steps)}
     for name, options in THEIR_ENVIRONMENTS.items():
         contenders[f"JaxMARL {name}, random play"] = _their_play(name, options, steps)
-    timings = alternate(contenders, repeats)
-    return [
-        Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
-        for name, (_, compile_s, env_steps) in contenders.items()
-    ]
+    return race(contenders, repeats)
 
 
 def _their_play(name: str, options: dict[str, Any], steps: int) -> Contender:
@@ -114,7 +98,9 @@ def _their_play(name: str, options: dict[str, Any], steps: int) -> Contender:
     return lambda: program(states, key), compile_s, COPIES * steps
 
 
-def bench_training(env: str, algorithm: str, checkout: Path, quick: bool, repeats: int) -> list:
+def bench_training(
+    env: str, algorithm: str, checkout: Path, quick: bool, repeats: int
+) -> list[Row]:
     """One update of ours and of theirs."""
     config = settings(env, algorithm, quick)
     _, learner = configs.build(config)
@@ -125,11 +111,7 @@ def bench_training(env: str, algorithm: str, checkout: Path, quick: bool, repeat
         f"{algorithm} on {env}, one update": ours,
         "JaxMARL MAPPO-RNN on SMAX 3m": _their_training(checkout, updates=1 if quick else 5),
     }
-    timings = alternate(contenders, repeats)
-    return [
-        Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
-        for name, (_, compile_s, env_steps) in contenders.items()
-    ]
+    return race(contenders, repeats)
 
 
 def _their_training(checkout: Path, updates: int) -> Contender:
@@ -139,8 +121,11 @@ def _their_training(checkout: Path, updates: int) -> Contender:
     fixed = 'initialize_carry(config["NUM_ACTORS"], 128)'  # hard-coded whatever the setting
     if fixed not in source:
         raise SystemExit(f"{checkout / THEIR_TRAINER} is not the version this was written for")
-    nothing = SimpleNamespace(log=lambda *args, **kwargs: None)
-    stubs = {"wandb": nothing, "hydra": _Hydra(), "omegaconf": SimpleNamespace(OmegaConf=None)}
+    stubs = {
+        "wandb": SimpleNamespace(log=lambda *args, **kwargs: None),
+        "hydra": SimpleNamespace(main=lambda **_: lambda function: function),
+        "omegaconf": SimpleNamespace(OmegaConf=None),
+    }
     trainer = ModuleType("their_trainer")
     saved = {name: sys.modules.get(name) for name in stubs}
     sys.modules.update(stubs)  # they only serve its command line and its logging
@@ -155,27 +140,17 @@ def _their_training(checkout: Path, updates: int) -> Contender:
     return lambda: program(jax.random.PRNGKey(0)), compile_s, env_steps
 
 
-class _Hydra(ModuleType):
-    def __init__(self) -> None:
-        super().__init__("hydra")
-
-    @staticmethod
-    def main(**_: Any) -> Callable:
-        """Leave the decorated function as it is."""
-        return lambda function: function
-
-
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__)
     options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
     args = options.parse_args()
-    core = run_folder.available_cores()[:1]
+    core = run_folder.available_cores()[0]
     steps = 10 if args.quick else 1000
-    rows = isolated(bench_environments, args.env, steps, args.repeats, cores=core)
+    rows = isolated(bench_environments, args.env, steps, args.repeats, core=core)
     if args.jaxmarl:
         work = args.env, args.algorithm, args.jaxmarl, args.quick, args.repeats
-        rows += isolated(bench_training, *work, cores=core)
+        rows += isolated(bench_training, *work, core=core)
     report(rows, args.json)
 
 

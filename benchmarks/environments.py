@@ -55,9 +55,9 @@ def main() -> None:
     options.add_argument("--copies", type=int, nargs="+", default=[1, 8, 32, 128, 1024, 8192])
     args = options.parse_args()
     copies, env_steps = ([2], 20) if args.quick else (args.copies, 1_000_000)
-    core = run_folder.available_cores()[:1]
+    core = run_folder.available_cores()[0]
     rows = (
-        isolated(bench, args.env, n, max(env_steps // n, 10), args.repeats, cores=core)
+        isolated(bench, args.env, n, max(env_steps // n, 10), args.repeats, core=core)
         for n in copies
     )
     report(rows, args.json)

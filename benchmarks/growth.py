@@ -116,9 +116,9 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("--out", type=Path, help="PNG to draw")
     args = options.parse_args()
-    core = run_folder.available_cores()[:1]
+    core = run_folder.available_cores()[0]
     rows = [
-        isolated(bench, what, size, args.quick, args.repeats, cores=core)
+        isolated(bench, what, size, args.quick, args.repeats, core=core)
         for what, sizes in (QUICK if args.quick else SIZES).items()
         for size in sizes
     ]

@@ -17,7 +17,10 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from hmasd_jax import run_folder
+from hmasd_jax import run_folder, sweep
+
+ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
+"""What a table says of the machine, of all that `run_folder.describe` knows."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +62,23 @@ class Timing(NamedTuple):
 
 def measure(run: Callable[[], Any], repeats: int) -> Timing:
     """Time `run` after one call that does not count; its result is waited for."""
-    jax.block_until_ready(run())
-    walls, cpus = [], []
-    for _ in range(repeats):
-        wall, cpu = time.perf_counter(), time.process_time()
+    return alternate({"": run}, repeats)[""]
+
+
+def alternate(runs: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Timing]:
+    """Time all of `runs` in turn, `repeats` times over, as `measure` does."""
+    clocks: dict[str, list[tuple[float, float]]] = {name: [] for name in runs}
+    for run in runs.values():
         jax.block_until_ready(run())
-        walls.append(time.perf_counter() - wall)
-        cpus.append(time.process_time() - cpu)
+    for _ in range(repeats):
+        for name, run in runs.items():
+            wall, cpu = time.perf_counter(), time.process_time()
+            jax.block_until_ready(run())
+            clocks[name].append((time.perf_counter() - wall, time.process_time() - cpu))
+    return {name: _timing(*zip(*seconds)) for name, seconds in clocks.items()}
+
+
+def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
     median = statistics.median(walls)
     return Timing(median, statistics.median(cpus), (max(walls) - min(walls)) / median)
 
@@ -83,20 +96,20 @@ def peak_rss_mb() -> float:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def isolated(function: Callable[..., Any], *args: Any, cores: list[int] | None = None) -> Any:
+def isolated(function: Callable[..., Any], *args: Any, core: int | None = None) -> Any:
     """`function(*args)` in a fresh process, for memory and threads of its own.
 
     Args:
         function: of a module, so that it can be found again.
         args: what can be pickled.
-        cores: the processor cores to use; with a single one, XLA computes in one thread.
+        core: the processor core to stay on, in one thread; all cores if None.
 
     Raises:
         RuntimeError: the process failed; it has told why.
     """
     context = multiprocessing.get_context("spawn")
     pipe, other = context.Pipe(duplex=False)
-    process = context.Process(target=_answer, args=(other, cores, function, args))
+    process = context.Process(target=_answer, args=(other, core, function, args))
     process.start()
     other.close()
     try:
@@ -107,20 +120,11 @@ def isolated(function: Callable[..., Any], *args: Any, cores: list[int] | None =
         process.join()
 
 
-def _answer(pipe, cores, function, args) -> None:
+def _answer(pipe, core, function, args) -> None:
     os.dup2(2, 1)  # whatever a library prints is not a result
-    if cores:
-        pin(cores)
+    if core is not None:
+        sweep.pin(core)
     pipe.send(function(*args))
-
-
-def pin(cores: list[int]) -> None:
-    """Keep this process on `cores`; before JAX computes anything."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, cores)
-    if len(cores) == 1:
-        flags = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
@@ -144,21 +148,21 @@ def report(rows: Iterable[Row], as_json: bool) -> None:
         return
     rows = list(rows)
     about = run_folder.describe([])
-    names = ("cpu", "cores", "device", "jax", "python", "commit")
     columns = {f.name: [getattr(row, f.name) for row in rows] for f in dataclasses.fields(Row)}
     shared = {name: values[0] for name, values in columns.items() if len({*values}) == 1}
-    heading = [f"{name} {about[name]}" for name in names]
-    heading += [f"{name} {_text(value)}" for name, value in shared.items() if value is not None]
+    heading = [f"{name} {about[name]}" for name in ABOUT]
+    heading += [f"{name} {text(value)}" for name, value in shared.items() if value is not None]
     console = Console(width=140, highlight=False)
     console.print(", ".join(heading), markup=False)
     varying = [name for name in columns if name not in shared]
     table = Table(*(name.replace("_", " ") for name in varying))
     for row in rows:
-        table.add_row(*(_text(getattr(row, name)) for name in varying))
+        table.add_row(*(text(getattr(row, name)) for name in varying))
     console.print(table)
 
 
-def _text(value: Any) -> str:
+def text(value: Any) -> str:
+    """A value in a table."""
     if value is None:
         return ""
     if not isinstance(value, float):

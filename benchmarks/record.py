@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from hmasd_jax import run_folder
+from measure import ABOUT, text
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "performance.md"
@@ -25,8 +26,6 @@ BENCHMARKS = {
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
 }
-ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
-DIGITS = 3
 
 
 def run(name: str) -> None:
@@ -55,19 +54,13 @@ def table(kept: dict[str, Any]) -> str:
     rows = kept["rows"]
     columns = [key for key in rows[0] if any(row[key] is not None for row in rows)]
     head = [column.replace("_", " ") for column in columns]
-    lines = [head, ["---"] * len(head), *([_text(row[c]) for c in columns] for row in rows)]
+    lines = [head, ["---"] * len(head), *([text(row[c]) for c in columns] for row in rows)]
     about = ", ".join(f"{key} {kept[key]}" for key in ABOUT)
     return "\n".join([f"`{kept['command']}`  ", f"{about}", "", *map(_line, lines)])
 
 
 def _line(cells: list[str]) -> str:
     return f"| {' | '.join(cells)} |"
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, float):
-        return "" if value is None else str(value)
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.{DIGITS}g}"
 
 
 def write_page() -> None:

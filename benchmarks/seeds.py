@@ -43,7 +43,7 @@ def with_workers(config: Any, seeds: int, cores: list[int], repeats: int) -> Row
     barrier = multiprocessing.get_context("spawn").Barrier(len(cores))
 
     def run(core: int, share: int) -> tuple[Timing, float, float]:
-        return isolated(_work, config, share, repeats, barrier, cores=[core])
+        return isolated(_work, config, share, repeats, barrier, core=core)
 
     with ThreadPoolExecutor(len(cores)) as pool:
         timings, compile_s, peaks = zip(*pool.map(run, cores, shares))

@@ -96,8 +96,8 @@ def main() -> None:
     """Run the benchmark from the command line."""
     args = parser(__doc__).parse_args()
     envs_jax.make(args.env)  # a wrong name is told before a process starts
-    core = run_folder.available_cores()[:1]
-    rows = isolated(bench, args.env, args.algorithm, args.quick, args.repeats, cores=core)
+    core = run_folder.available_cores()[0]
+    rows = isolated(bench, args.env, args.algorithm, args.quick, args.repeats, core=core)
     report(rows, args.json)
 
 

@@ -64,6 +64,17 @@ def test_compare_with_jaxmarl():
     assert all(row["name"].startswith("JaxMARL") for row in theirs)
 
 
+def test_page_shows_what_was_recorded(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    import record
+
+    page = tmp_path / "performance.md"
+    page.write_text(record.PAGE.read_text())
+    monkeypatch.setattr(record, "PAGE", page)
+    record.write_page()
+    assert page.read_text() == (ROOT / "docs" / "performance.md").read_text()
+
+
 def test_matmul_flops_by_hand(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     import jax

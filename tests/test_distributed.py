@@ -10,25 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from hmasd_jax import logging, run_folder
-from hmasd_jax.run_folder import metrics_path
+from hmasd_jax import run_folder
 from hmasd_jax.train import main
 
 TOY = Path(__file__).with_name("toy.py")
-runpy.run_path(str(TOY))
-SETTINGS = {
-    "algorithm.name": "toy",
-    "algorithm.ppo.num_envs": 2,
-    "algorithm.ppo.rollout_length": 10,
-    "env.max_steps": 4,
-    "total_env_steps": 200,
-    "log_interval": 40,
-    "eval_interval": 80,
-    "checkpoint_interval": 80,
-    "eval_episodes": 5,
-    "num_seeds": 3,
-}
-WORDS = [str(x) for name, value in SETTINGS.items() for x in (f"--{name}", value)]
+toy = runpy.run_path(str(TOY))
+WORDS, numbers = toy["words"](), toy["numbers"]
 
 
 @pytest.fixture
@@ -55,12 +42,6 @@ def sweep():
     yield sweep
     for process in processes:
         process.kill()
-
-
-def numbers(run, seed):
-    """Evaluations of a seed without what depends on the clock."""
-    records = logging.read(metrics_path(run, seed))
-    return [r["return"] for r in records if r["kind"] == "eval"]
 
 
 def test_two_processes_share_the_seeds_and_make_one_run(sweep, tmp_path):

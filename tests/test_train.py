@@ -21,34 +21,8 @@ from hmasd_jax.train import main
 from hmasd_jax.trainer import Job, train_seeds
 
 TOY = Path(__file__).with_name("toy.py")
-runpy.run_path(str(TOY))
-
-# 20 env steps per update, 10 updates: metrics every 2, evaluation and checkpoint every 4.
-SETTINGS = {
-    "algorithm.name": "toy",
-    "algorithm.ppo.num_envs": 2,
-    "algorithm.ppo.rollout_length": 10,
-    "env.max_steps": 4,
-    "total_env_steps": 200,
-    "log_interval": 40,
-    "eval_interval": 80,
-    "checkpoint_interval": 80,
-    "eval_episodes": 5,
-    "num_seeds": 3,
-}
-CLOCKS = ("wall_seconds", "env_steps_per_second")
-
-
-def words(**more):
-    """SETTINGS as a command line."""
-    settings = SETTINGS | {name.replace("__", "."): value for name, value in more.items()}
-    return [str(x) for name, value in settings.items() for x in (f"--{name}", value)]
-
-
-def numbers(run, seed):
-    """All records of a seed without what depends on the clock."""
-    records = logging.read(metrics_path(run, seed))
-    return [{k: v for k, v in record.items() if k not in CLOCKS} for record in records]
+toy = runpy.run_path(str(TOY))
+SETTINGS, words, numbers = toy["SETTINGS"], toy["words"], toy["numbers"]
 
 
 def make_job(run, **more):

@@ -5,13 +5,16 @@ Run as a script it is the command line with the toy registered, also in worker p
 
 import sys
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
+from hmasd_jax import logging
 from hmasd_jax.algorithms import ALGORITHMS, AlgorithmEntry
 from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.run_folder import metrics_path
 from hmasd_jax.types import Algorithm, Learner, Policy
 
 
@@ -65,6 +68,34 @@ def make_toy(env: Any, config: ToyConfig) -> Algorithm:
         return Policy(lambda batch_shape: (), step)
 
     return Algorithm(init, update, policy)
+
+
+# 20 env steps per update, 10 updates: metrics every 2, evaluation and checkpoint every 4.
+SETTINGS = {
+    "algorithm.name": "toy",
+    "algorithm.ppo.num_envs": 2,
+    "algorithm.ppo.rollout_length": 10,
+    "env.max_steps": 4,
+    "total_env_steps": 200,
+    "log_interval": 40,
+    "eval_interval": 80,
+    "checkpoint_interval": 80,
+    "eval_episodes": 5,
+    "num_seeds": 3,
+}
+CLOCKS = ("wall_seconds", "env_steps_per_second")
+
+
+def words(**more: Any) -> list[str]:
+    """SETTINGS and changes to them, `__` standing for a dot, as a command line."""
+    settings = SETTINGS | {name.replace("__", "."): value for name, value in more.items()}
+    return [str(x) for name, value in settings.items() for x in (f"--{name}", value)]
+
+
+def numbers(run: Path, seed: int) -> list[dict[str, Any]]:
+    """All records of a seed without what depends on the clock."""
+    records = logging.read(metrics_path(run, seed))
+    return [{k: v for k, v in record.items() if k not in CLOCKS} for record in records]
 
 
 ALGORITHMS.setdefault("toy", AlgorithmEntry(ToyConfig, make_toy))

@@ -45,7 +45,6 @@ def seeds_at_once(num_seeds: int, bytes_needed: Callable[[int], int]) -> int:
     free, batches = available_bytes(), 1
     while True:
         size = math.ceil(num_seeds / batches)
-        needed = bytes_needed(size)
-        if needed <= free or size == 1:
+        if size == 1 or (needed := bytes_needed(size)) <= free:
             return size
         batches = max(batches + 1, math.ceil(batches * needed / max(free, 1)))

@@ -132,14 +132,19 @@ def _death(worker: Worker) -> Event:
     return Event("failed", worker.seed, {"message": f"its process {how}{hint}"})
 
 
-def work(pipe: Connection, run: Path, config: dict, extras: tuple[str, ...], core: int) -> None:
-    """Train the seeds that come through the pipe, until None or its end comes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which tells us
+def pin(core: int) -> None:
+    """Compute on one core of the processor, in one thread; before JAX computes anything."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
     jax.config.update("jax_platforms", "cpu")
+
+
+def work(pipe: Connection, run: Path, config: dict, extras: tuple[str, ...], core: int) -> None:
+    """Train the seeds that come through the pipe, until None or its end comes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which tells us
+    pin(core)
 
     def report(event: Event) -> None:
         with suppress(OSError):  # without a parent nobody listens; `poll` then says to stop

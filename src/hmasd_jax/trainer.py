@@ -162,10 +162,7 @@ def _train_batch(job: Job, plan: Plan, seeds: list[Seed], size: int, env_steps: 
     for seed in seeds:
         numbers = {"seconds": programs.compile_seconds, "memory_bytes": programs.memory_bytes}
         job.report(Event("compiled", seed.index, numbers))
-    indices = [seed.index for seed in seeds]
-    # Where the programs take more seeds than there are, the last one is computed several times.
-    indices += indices[-1:] * (programs.num_seeds - len(indices))
-    states = _initial_states(job, programs, indices, env_steps)
+    states = _initial_states(job, programs, _indices(programs, seeds), env_steps)
     for seed in seeds:
         seed.open(env_steps)
     _loop(job, plan, programs, seeds, states, env_steps // plan.env_steps_per_update)
@@ -180,6 +177,12 @@ def _programs(config: TrainConfig, num_seeds: int) -> Programs:
         devices = jax.local_device_count()
         num_seeds = -(-num_seeds // devices) * devices
     return compiled(config, num_seeds, layout)
+
+
+def _indices(programs: Programs, seeds: list[Seed]) -> list[int]:
+    """What the programs compute: the last seed again where they take more than there are."""
+    indices = [seed.index for seed in seeds]
+    return indices + indices[-1:] * (programs.num_seeds - len(indices))
 
 
 def choose_layout(config: TrainConfig) -> Layout:
@@ -240,8 +243,7 @@ def _loop(
 
 def _evaluate(job: Job, programs: Programs, seeds: list[Seed], states: Any, env_steps: int) -> None:
     """Evaluate the states as they are now."""
-    keys = [evaluation_key(job.config, seed.index, env_steps) for seed in seeds]
-    keys += keys[-1:] * (programs.num_seeds - len(keys))
+    keys = [evaluation_key(job.config, index, env_steps) for index in _indices(programs, seeds)]
     rows = _rows(programs.evaluate(states, jnp.stack(keys)))
     for seed, row in zip(seeds, rows):
         if seed.result is None:
