@@ -17,7 +17,7 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from hmasd_jax import run_folder, sweep
+from hmasd_jax import programs, run_folder, sweep
 
 ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
 """What a table says of the machine, of all that `run_folder.describe` knows."""
@@ -86,7 +86,7 @@ def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
 def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
     """The executable of `function` for `args`, and the seconds that tracing and compiling took."""
     start = time.perf_counter()
-    executable = jax.jit(function).lower(*args).compile()
+    executable = programs.build_executable(jax.jit(function).lower(*args))
     return executable, time.perf_counter() - start
 
 

@@ -45,7 +45,7 @@ def test_a_run_folder_holds_everything(alone):
     assert {path.name for path in alone.iterdir()} == names
     assert run_folder.read_config(alone) == configs.load(None, SETTINGS)
     record = json.loads((alone / "run.json").read_text())
-    assert record["command"][:4] == ["python", "-m", "hmasd_jax.train", "train"]
+    assert record["command"][1:4] == ["-m", "hmasd_jax.train", "train"]
     assert record["jax"] == jax.__version__
     assert record["device"].startswith("cpu")
     assert checkpoint.steps(alone / "seed_1" / "checkpoints") == [80, 160, 200]

@@ -93,12 +93,23 @@ def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -
     advance_seeds = jax.jit(batched(advance, num_seeds, layout, (0, None)), donate_argnums=0)
     evaluate_seeds = jax.jit(batched(play, num_seeds, layout, (0, 0)))
     programs = (
-        init.compile(),
-        advance_seeds.lower(states, count).compile(),
-        evaluate_seeds.lower(states, keys).compile(),
+        build_executable(init),
+        build_executable(advance_seeds.lower(states, count)),
+        build_executable(evaluate_seeds.lower(states, keys)),
     )
     memory = max(_memory_bytes(program) for program in programs)
     return Programs(num_seeds, *programs, memory, time.perf_counter() - start)
+
+
+def build_executable(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
+    """Compile; on a CPU at LLVM's first level of optimization instead of its last.
+
+    What it makes is as fast, and for HMASD's `init` it takes two thirds of the time.
+    """
+    options: dict[str, str | bool] = {}
+    if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
+        options["xla_backend_optimization_level"] = "1"
+    return lowered.compile(options)
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
