@@ -22,7 +22,8 @@ KEPT = ROOT / "results" / "benchmarks"
 BENCHMARKS = {
     "environments": "benchmarks/environments.py",
     "training": "benchmarks/training.py",
-    "seeds": "benchmarks/seeds.py --seeds 1 4 --layout workers",
+    "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc",
+    "seeds": "benchmarks/seeds.py --seeds 1 4",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
 }

@@ -57,6 +57,13 @@ def test_growth_draws_what_it_measured(tmp_path):
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="needs the repository's history")
+def test_versions_of_this_repository():
+    (row,) = run("versions.py", "HEAD")
+    assert row["env_steps_per_cpu_s"] > 0
+    assert row["compile_s"] > 0
+
+
 @pytest.mark.skipif(importlib.util.find_spec("jaxmarl") is None, reason="needs the extra `compare`")
 def test_compare_with_jaxmarl():
     ours, *theirs = run("compare.py")
