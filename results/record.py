@@ -1,5 +1,7 @@
 """Keep a finished run: RUN -> results/TASK/NAME.json and .png, and write docs/results.md anew.
 
+A task is one of `TASKS`; NAME begins with the algorithm's name.
+
 python results/record.py RUN results/alice_and_bob/hmasd.json
 python results/record.py             # only docs/results.md, from the files that are there
 """
@@ -7,29 +9,49 @@ python results/record.py             # only docs/results.md, from the files that
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hmasd_jax import logging, run_folder
-from hmasd_jax.plot import PAPER_ALICE_AND_BOB, plot_result
+from hmasd_jax.plot import PAPER_ALICE_AND_BOB, Reference, plot_result
 from hmasd_jax.statistics import last_evaluations, summarize
 from hmasd_jax.summary import LAST, main_metric
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results.md"
-SOLVED = 90  # percent
-PAPER = {"alice_and_bob": "74 ± 26 (5 seeds)"}
-REFERENCES = {"alice_and_bob": PAPER_ALICE_AND_BOB}
+
+
+class Task(NamedTuple):
+    """One task of the paper, in the units of the page: percent of success, or the return."""
+
+    paper: str
+    """HMASD's mean and standard deviation over the paper's five seeds."""
+    bar: float
+    """What a seed must reach to count as one that learned."""
+    reference: Reference | None = None
+    """The paper's curve."""
+
+
+TASKS = {
+    "alice_and_bob": Task("74 ± 26", 90, PAPER_ALICE_AND_BOB),
+    "overcooked/cramped_room": Task("236 ± 8", 236),
+    "overcooked/asymmetric_advantages": Task("295 ± 85", 295),
+    "overcooked/coordination_ring": Task("80 ± 98", 80),
+    "micro_battle/3m": Task("80 (Fig. 6)", 80),
+    "micro_battle/2s_vs_1sc": Task("60 (Fig. 6)", 80),
+    "micro_battle/2m_vs_1z": Task("40 (Fig. 6)", 80),
+}
 
 HEAD = """# Results
 
 Written by `python results/record.py` from the files in [`results/`](../results), each of which
 holds the command, configuration, commit, versions and hardware that made it, and every evaluation
-of every seed. Success in percent of 100 greedy episodes; the mean of the last {last} evaluations of
-each seed, then over seeds. "±" is the (population) standard deviation over seeds, as in the paper,
-brackets are the 95 % bootstrap interval of the mean, and "worst" is the worst seed.
+of every seed. Success in percent of greedy episodes, or their mean return; the mean of the last
+{last} evaluations of each seed, then over seeds. "±" is the (population) standard deviation over
+seeds, as in the paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and
+"worst" is the worst seed.
 """
 COLUMNS = (
-    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ 90 % | commit | hours |"
+    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
 )
 
 
@@ -64,16 +86,17 @@ def record(run: Path) -> dict[str, Any]:
     }
 
 
-def row(path: Path) -> str:
+def row(path: Path, task: Task) -> str:
     """One line of the table."""
     kept = json.loads(path.read_text())
-    final = summarize(100 * last_evaluations(kept["values"], LAST), solved_at=SOLVED)
+    scale = 100 if kept["metric"] == "success" else 1
+    final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
     low, high = final["interval"]
     cells = [
         f"[{path.stem}](../{path.relative_to(ROOT)})",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
-        PAPER.get(path.parent.name, "") if path.stem.startswith("hmasd") else "",
+        task.paper if path.stem.startswith("hmasd") else "",
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
@@ -86,28 +109,31 @@ def row(path: Path) -> str:
 def page() -> str:
     """docs/results.md."""
     parts = [HEAD.format(last=LAST)]
-    for folder in sorted(path for path in (ROOT / "results").iterdir() if path.is_dir()):
-        files = sorted(folder.glob("*.json"))
+    for name, task in TASKS.items():
+        files = sorted((ROOT / "results" / name).glob("*.json"))
         if not files:
             continue
-        rows = [row(path) for path in files]
+        rows = [row(path, task) for path in files]
         commands = [f"    {json.loads(path.read_text())['command']}" for path in files]
         images = [
             f"![{path.stem}](../{path.relative_to(ROOT).with_suffix('.png')})" for path in files
         ]
         rule = "|---" * COLUMNS.count(" | ") + "|---|"
-        title = f"## {folder.name}\n"
-        parts += ["\n".join([title, COLUMNS, rule, *rows, "", *commands, "", *images, ""])]
+        columns = COLUMNS.format(bar=f"{task.bar:g}")
+        parts += ["\n".join([f"## {name}\n", columns, rule, *rows, "", *commands, "", *images, ""])]
     return "\n".join(parts)
 
 
 def main(arguments: list[str]) -> None:
     """Record a run if one is given, then write the page."""
     if arguments:
-        run, out = map(Path, arguments)
+        run, out = Path(arguments[0]), Path(arguments[1]).resolve()
+        task = out.parent.relative_to(ROOT / "results").as_posix()
+        if task not in TASKS:
+            raise SystemExit(f"no task is called {task!r}; choose from {', '.join(TASKS)}")
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(record(run)) + "\n")
-        plot_result(out, out.with_suffix(".png"), REFERENCES.get(out.parent.name))
+        plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
     PAGE.write_text(page())
 
 
