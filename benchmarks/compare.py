@@ -2,7 +2,8 @@
 
 python benchmarks/compare.py [--jaxmarl CHECKOUT] [--json]        (needs the extra `compare`)
 
-Environments: random play here and in JaxMARL's package. Training, given a checkout of JaxMARL
+Environments: random play in ours and in what JaxMARL's package has for the same game, with 32 and
+with 1024 copies; observations and resets included. Training, given a checkout of JaxMARL
 (its trainers are not in its package): one update of ours against one of its MAPPO-RNN on SMAX 3m,
 at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
 """
@@ -23,7 +24,17 @@ from measure import Row, alternate, compiled, isolated, parser, report
 from training import settings
 
 COPIES, STEPS = 32, 100
-THEIR_ENVIRONMENTS = {"overcooked": {}, "HeuristicEnemySMAX": {"scenario": "3m"}}
+SMAX = ("HeuristicEnemySMAX", {"scenario": "3m"})
+PAIRS = [
+    ("overcooked", {"layout": ours}, "overcooked", {"layout": theirs})
+    for ours, theirs in (
+        ("cramped_room", "cramped_room"),
+        ("asymmetric_advantages", "asymm_advantages"),
+        ("coordination_ring", "coord_ring"),
+    )
+]
+PAIRS += [("micro_battle", {"scenario": "3m"}, *SMAX), ("alice_and_bob", {}, *SMAX)]
+"""Name and options here, and there. Nothing there is like Alice_and_Bob."""
 THEIR_TRAINER = Path("baselines/MAPPO/mappo_rnn_smax.py")
 THEIR_SETTINGS = {
     "LR": 5e-4,
@@ -61,20 +72,30 @@ def race(contenders: dict[str, Contender], repeats: int) -> list[Row]:
     ]
 
 
-def bench_environments(env: str, steps: int, repeats: int) -> list[Row]:
+def bench_environments(pair: tuple, copies: int, env_steps: int, repeats: int) -> list[Row]:
     """Random play in ours and theirs."""
-    contenders = {f"{env}, random play": random_play(envs_jax.make(env), COPIES, steps)}
-    for name, options in THEIR_ENVIRONMENTS.items():
-        contenders[f"JaxMARL {name}, random play"] = _their_play(name, options, steps)
-    return race(contenders, repeats)
+    name, options, their_name, their_options = pair
+    steps = max(env_steps // copies, 10)
+    titles = (" ".join([x, *map(str, o.values())]) for x, o in (pair[:2], pair[2:]))
+    ours, theirs = (f"{title}, {copies} copies" for title in titles)
+    return race(
+        {
+            ours: random_play(envs_jax.make(name, **options), copies, steps),
+            f"JaxMARL {theirs}": _their_play(their_name, their_options, copies, steps),
+        },
+        repeats,
+    )
 
 
-def _their_play(name: str, options: dict[str, Any], steps: int) -> Contender:
+def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> Contender:
     import jaxmarl
+    from jaxmarl.environments.overcooked import overcooked_layouts
     from jaxmarl.environments.smax import map_name_to_scenario
 
     if "scenario" in options:
-        options = options | {"scenario": map_name_to_scenario(options["scenario"])}
+        options = {"scenario": map_name_to_scenario(options["scenario"])}
+    else:
+        options = {"layout": overcooked_layouts[options["layout"]]}
     env = jaxmarl.make(name, **options)
     spaces = [env.action_space(agent) for agent in env.agents]
 
@@ -87,15 +108,15 @@ def _their_play(name: str, options: dict[str, Any], steps: int) -> Contender:
 
     def play(states, key):
         def step(states, key):
-            states, out = jax.vmap(one_step)(jax.random.split(key, COPIES), states)
+            states, out = jax.vmap(one_step)(jax.random.split(key, copies), states)
             return states, jax.tree.map(jax.numpy.sum, out)
 
         return jax.lax.scan(step, states, jax.random.split(key, steps))
 
     key = jax.random.key(0)
-    _, states = jax.vmap(env.reset)(jax.random.split(key, COPIES))
+    _, states = jax.vmap(env.reset)(jax.random.split(key, copies))
     program, compile_s = compiled(play, states, key)
-    return lambda: program(states, key), compile_s, COPIES * steps
+    return lambda: program(states, key), compile_s, copies * steps
 
 
 def bench_training(
@@ -146,8 +167,11 @@ def main() -> None:
     options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
     args = options.parse_args()
     core = run_folder.available_cores()[0]
-    steps = 10 if args.quick else 1000
-    rows = isolated(bench_environments, args.env, steps, args.repeats, core=core)
+    env_steps = 20 if args.quick else 200_000
+    rows = []
+    for pair in PAIRS[:1] if args.quick else PAIRS:
+        for copies in (2,) if args.quick else (32, 1024):
+            rows += isolated(bench_environments, pair, copies, env_steps, args.repeats, core=core)
     if args.jaxmarl:
         work = args.env, args.algorithm, args.jaxmarl, args.quick, args.repeats
         rows += isolated(bench_training, *work, core=core)

@@ -22,8 +22,10 @@ def random_play(
     """A call that unrolls random play, seconds to compile it, and environment steps per call."""
 
     def random_actions(memory, timestep, first, key):
-        logits = jnp.where(timestep.action_mask, 0.0, -jnp.inf)
-        return memory, jax.random.categorical(key, logits), None
+        # One number per agent: the action with this many legal ones before it.
+        legal = timestep.action_mask.cumsum(-1)
+        before = jnp.floor(jax.random.uniform(key, legal.shape[:-1]) * legal[..., -1])
+        return memory, (legal <= before[..., None]).sum(-1), None
 
     def play(carry, key):
         carry, _, transitions = rollout.unroll(env, random_actions, carry, (), key, steps)

@@ -1,6 +1,6 @@
 """Time and memory of one update of HMASD as copies, agents and the rollout grow.
 
-python benchmarks/growth.py [--out results/benchmarks/growth.png] [--json]
+python benchmarks/growth.py [--minibatches 16] [--out results/benchmarks/growth.png] [--json]
 
 One core; everything but the size that grows is as in the paper's Alice_and_Bob.
 """
@@ -58,11 +58,15 @@ class Noise:
         )
 
 
-def bench(what: str, size: int, quick: bool, repeats: int) -> Row:
+def bench(what: str, size: int, minibatches: int, quick: bool, repeats: int) -> Row:
     """One update with `what` at `size`."""
     sizes = BASE | ({"num_envs": 1, "rollout_length": 50} if quick else {}) | {what: size}
     env = Noise(sizes["num_agents"])
-    ppo = PPOConfig(num_envs=sizes["num_envs"], rollout_length=sizes["rollout_length"])
+    ppo = PPOConfig(
+        num_envs=sizes["num_envs"],
+        rollout_length=sizes["rollout_length"],
+        num_minibatches=minibatches,
+    )
     algorithm = make_hmasd(env, HMASDConfig(ppo=ppo))
     state = jax.jit(algorithm.init)(jax.random.key(0))
     update, compile_s = compiled(algorithm.update, state)
@@ -114,11 +118,12 @@ def _env_steps(what: str, size: int) -> int:
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__)
+    options.add_argument("--minibatches", type=int, default=1, help="of PPO (default: 1)")
     options.add_argument("--out", type=Path, help="PNG to draw")
     args = options.parse_args()
     core = run_folder.available_cores()[0]
     rows = [
-        isolated(bench, what, size, args.quick, args.repeats, core=core)
+        isolated(bench, what, size, args.minibatches, args.quick, args.repeats, core=core)
         for what, sizes in (QUICK if args.quick else SIZES).items()
         for size in sizes
     ]
