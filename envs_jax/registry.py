@@ -6,11 +6,13 @@ from collections.abc import Iterable
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.overcooked import Overcooked
 from envs_jax.probes import PROBES
 from envs_jax.types import Environment
 
 ENVIRONMENTS: dict[str, type] = {
     "alice_and_bob": AliceAndBob,
+    "overcooked": Overcooked,
     **PROBES,
 }
 
