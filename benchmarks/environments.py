@@ -27,10 +27,13 @@ def random_play(
         before = jnp.floor(jax.random.uniform(key, legal.shape[:-1]) * legal[..., -1])
         return memory, (legal <= before[..., None]).sum(-1), None
 
-    def play(carry, key):
-        carry, _, transitions = rollout.unroll(env, random_actions, carry, (), key, steps)
+    def step(carry, key):
+        carry, _, transitions = rollout.unroll(env, random_actions, carry, (), key, 1)
         outcome = transitions.outcome  # sums, so that everything is computed but not kept
         return carry, jax.tree.map(jnp.sum, (outcome.obs, outcome.state, outcome.reward))
+
+    def play(carry, key):
+        return jax.lax.scan(step, carry, jax.random.split(key, steps))
 
     key = jax.random.key(0)
     carry = rollout.reset(env, key, copies)
