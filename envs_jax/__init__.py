@@ -1,5 +1,6 @@
 """Multi-agent environments as pure JAX functions. Imports nothing of `hmasd_jax`."""
 
+from envs_jax.adapters import MissingPackageError, from_jaxmarl, to_jaxmarl, to_pettingzoo
 from envs_jax.check import EnvironmentCheckError, check_environment
 from envs_jax.registry import make, names, register
 from envs_jax.types import Environment, EnvState, TimeStep
@@ -8,9 +9,13 @@ __all__ = [
     "EnvState",
     "Environment",
     "EnvironmentCheckError",
+    "MissingPackageError",
     "TimeStep",
     "check_environment",
+    "from_jaxmarl",
     "make",
     "names",
     "register",
+    "to_jaxmarl",
+    "to_pettingzoo",
 ]

@@ -5,6 +5,7 @@ import difflib
 from collections.abc import Iterable
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
+from envs_jax.adapters import JaxMARL
 from envs_jax.alice_and_bob import AliceAndBob
 from envs_jax.overcooked import Overcooked
 from envs_jax.probes import PROBES
@@ -14,6 +15,7 @@ ENVIRONMENTS: dict[str, type] = {
     "alice_and_bob": AliceAndBob,
     "overcooked": Overcooked,
     **PROBES,
+    "jaxmarl": JaxMARL,
 }
 
 

@@ -1,0 +1,216 @@
+"""Environments of JaxMARL (github.com/FLAIROx/JaxMARL, version 0.2) as ours.
+
+- Agents are in the order of `agents`. Their observations are flattened, and padded with zeros to
+  the longest; their actions to the most, and what is added is illegal.
+- `state` is their `world_state` (SMAX), or what `get_world_state` gives, or else all observations
+  in a row, as JaxMARL's own trainers do it (`jaxmarl.wrappers.baselines.CTRolloutManager`).
+- The team's reward is the mean of the agents' rewards. Where all agents are paid the same, as in
+  Overcooked, SMAX and Hanabi, that is what each of them is paid. Where each has a part of its own,
+  as in MPE, a sum would be the mean times the number of agents.
+- An episode has the steps that theirs has. Three of their families count a step after they have
+  looked at the count, so that MPE with `max_steps` 25 takes 26 and SMAX with 100 takes 101.
+- Theirs has one word, done, for both ends. Here it is `truncated` at the time limit, unless a side
+  of SMAX is dead by then, and `terminated` before it. An entry `truncated` of their info wins.
+- `info` has numbers of their info that are one for all or one per agent (then the mean), 0 at
+  reset, and for SMAX `success`: all enemies are dead and an ally lives.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax.adapters import jaxmarl_facts as facts
+from envs_jax.adapters import jaxmarl_pictures as pictures
+from envs_jax.types import TimeStep
+
+TeamReward = Literal["mean", "sum"]
+
+
+class ImportedState(NamedTuple):
+    """Simulator state of one episode."""
+
+    state: Any
+    """That of JaxMARL."""
+    time: Int[Array, "*batch"]
+    """Steps taken."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class JaxMARLTask:
+    """What `from_jaxmarl` makes of an environment; subclasses say which one it is."""
+
+    max_steps: int = 0
+    """Time limit in environment steps; 0 takes JaxMARL's, and a smaller one cuts earlier."""
+    team_reward: TeamReward = "mean"
+    """What the team is paid, of the agents' rewards; the same where all are paid the same."""
+    shaped_reward_coef: float = 0.0
+    """What JaxMARL's shaped reward (Overcooked) counts in each agent's reward."""
+
+    label: ClassVar[str] = "env"
+    """What an error blames."""
+
+    def __post_init__(self) -> None:
+        facts.check_agents(self.source, self.label)
+        object.__setattr__(self, "max_steps", facts.time_limit(self.source, self.max_steps))
+        if self.team_reward not in get_args(TeamReward):
+            known = " or ".join(get_args(TeamReward))
+            raise ValueError(f"team_reward must be {known}, got {self.team_reward!r}")
+        if not math.isfinite(self.shaped_reward_coef):
+            raise ValueError(f"shaped_reward_coef must be finite, got {self.shaped_reward_coef}")
+        if self.shaped_reward_coef and not self._shapes.has_shaped_reward:
+            name = type(self.source).__name__
+            raise ValueError(
+                f"shaped_reward_coef {self.shaped_reward_coef}: {name} has no shaped reward; "
+                "leave it at 0"
+            )
+
+    @property
+    def source(self) -> Any:
+        """The environment of JaxMARL."""
+        raise NotImplementedError
+
+    @property
+    def num_agents(self) -> int:
+        """Number of agents."""
+        return len(self.source.agents)
+
+    @property
+    def num_actions(self) -> int:
+        """The most actions that an agent has."""
+        return max(facts.num_actions(self.source))
+
+    @property
+    def obs_dim(self) -> int:
+        """Length of the longest observation."""
+        return max(self._shapes.obs_dims)
+
+    @property
+    def state_dim(self) -> int:
+        """Length of the global state."""
+        return self._shapes.state_dim
+
+    @property
+    def agent_names(self) -> tuple[str, ...]:
+        """JaxMARL's names of the agents, in their order."""
+        return tuple(self.source.agents)
+
+    @property
+    def _shapes(self) -> facts.Shapes:
+        return facts.trace(self.source)
+
+    def reset(self, key: jax.Array) -> tuple[ImportedState, TimeStep]:
+        """Their `reset`."""
+        obs, state = self.source.reset(key)
+        state = _cast(state, self._shapes.env_state)
+        no = jnp.bool(False)
+        info = dict.fromkeys(self._shapes.info, jnp.float32(0))
+        timestep = self._timestep(obs, state, jnp.float32(0), no, no, info)
+        return ImportedState(state, jnp.int32(0)), timestep
+
+    def step(
+        self, key: jax.Array, env_state: ImportedState, action: Int[Array, " agents"]
+    ) -> tuple[ImportedState, TimeStep]:
+        """Their `step_env`, which never resets."""
+        actions = {agent: action[index] for index, agent in enumerate(self.source.agents)}
+        obs, state, rewards, dones, info = self.source.step_env(key, env_state.state, actions)
+        state = _cast(state, self._shapes.env_state)
+        time = env_state.time + 1
+        over = jnp.asarray(dones["__all__"], bool)
+        terminated = over & ~self._is_time_up(state, time, info)
+        truncated = (over | (time >= self.max_steps)) & ~terminated
+        numbers = {name: _mean(info[name]) for name in self._shapes.info}
+        reward = self._team_reward(rewards, info)
+        timestep = self._timestep(obs, state, reward, terminated, truncated, numbers)
+        return ImportedState(state, time), timestep
+
+    def render(self, env_state: ImportedState) -> np.ndarray:
+        """Overcooked by JaxMARL, SMAX and MPE as discs; of others, a strip of state numbers."""
+        return pictures.draw(self.source, env_state.state)
+
+    def _is_time_up(
+        self, state: Any, time: Int[Array, ""], info: Mapping[str, Any]
+    ) -> Bool[Array, ""]:
+        """Whether, if the episode is over, that is due to the time limit only."""
+        if "truncated" in info:
+            return jnp.any(info["truncated"])
+        limit = facts.their_limit(self.source)
+        if limit is None:
+            return jnp.bool(False)
+        sides = facts.sides_alive(self.source, state)
+        return time >= limit if sides is None else sides[0] & sides[1]
+
+    def _team_reward(
+        self, rewards: Mapping[str, Array], info: Mapping[str, Any]
+    ) -> Float[Array, ""]:
+        each = jnp.stack([rewards[agent] for agent in self.source.agents])
+        if self.shaped_reward_coef:
+            shaped = info["shaped_reward"]
+            shaped = jnp.stack([shaped[agent] for agent in self.source.agents])
+            each = each + self.shaped_reward_coef * shaped
+        total = each.sum() if self.team_reward == "sum" else each.mean()
+        return total.astype(jnp.float32)
+
+    def _timestep(
+        self,
+        obs: Mapping[str, Array],
+        state: Any,
+        reward: Float[Array, ""],
+        terminated: Bool[Array, ""],
+        truncated: Bool[Array, ""],
+        info: dict[str, Array],
+    ) -> TimeStep:
+        """All that an agent and a coordinator see."""
+        rows = [obs[agent].reshape(-1) for agent in self.source.agents]
+        sides = facts.sides_alive(self.source, state)
+        if sides is not None:
+            allies, enemies = sides
+            info = info | {"success": (allies & ~enemies).astype(jnp.float32)}
+        return TimeStep(
+            obs=jnp.stack([_pad(row, self.obs_dim) for row in rows]).astype(jnp.float32),
+            state=facts.world_state(self.source, obs, state),
+            action_mask=self._action_mask(state),
+            reward=reward,
+            terminated=terminated,
+            truncated=truncated,
+            info=info,
+        )
+
+    def _action_mask(self, state: Any) -> Bool[Array, "agents actions"]:
+        legal = facts.available_actions(self.source, state)
+        rows = [_pad(legal[agent].astype(bool), self.num_actions) for agent in self.source.agents]
+        return jnp.stack(rows)
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrappedJaxMARL(JaxMARLTask):
+    """An environment of JaxMARL that exists already; see `from_jaxmarl`."""
+
+    env: Any
+    """The environment of JaxMARL; compared by identity."""
+
+    @property
+    def source(self) -> Any:
+        """The environment of JaxMARL."""
+        return self.env
+
+
+def _cast(state: Any, like: Any) -> Any:
+    """Give `state` the dtypes it had when traced at reset, none of them weak.
+
+    Some of theirs change between `reset` and `step`, which `jax.lax.scan` refuses.
+    """
+    return jax.tree.map(lambda x, to: jax.lax.convert_element_type(x, to.dtype), state, like)
+
+
+def _pad(row: Array, length: int) -> Array:
+    return jnp.pad(row, (0, length - len(row)))
+
+
+def _mean(value: Array) -> Float[Array, ""]:
+    return jnp.mean(value, dtype=jnp.float32)

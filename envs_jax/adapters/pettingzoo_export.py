@@ -1,0 +1,172 @@
+"""Our environments as PettingZoo's; needs the package pettingzoo."""
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+from typing import Any, Literal, get_args
+
+import jax
+import numpy as np
+from gymnasium.spaces import Box, Dict, Discrete, Space
+from pettingzoo import ParallelEnv
+
+from envs_jax.types import Environment, EnvState, TimeStep
+
+ActionMasks = Literal["observation", "info"]
+
+
+class ExportedParallelEnv(ParallelEnv):
+    """One of our environments as a stateful `ParallelEnv`; see `to_pettingzoo`.
+
+    All agents are paid the team's reward and end together. Arrays are NumPy's. An agent's info has
+    the numbers of ours, and `action_mask`.
+    """
+
+    def __init__(
+        self, env: Environment, seed: int = 0, action_masks: ActionMasks = "observation"
+    ) -> None:
+        """Agents are called agent_0, agent_1, and so on."""
+        if action_masks not in get_args(ActionMasks):
+            known = " or ".join(get_args(ActionMasks))
+            raise ValueError(f"action_masks must be {known}, got {action_masks!r}")
+        self.env = env
+        self.render_mode = "rgb_array"
+        self.metadata = {
+            "name": type(env).__name__,
+            "render_modes": ["rgb_array"],
+            "is_parallelizable": True,
+        }
+        self.possible_agents = [f"agent_{index}" for index in range(env.num_agents)]
+        self.agents: list[str] = []
+        self.observation_spaces = {
+            agent: _observation_space(env, action_masks) for agent in self.possible_agents
+        }
+        self.action_spaces = {agent: Discrete(env.num_actions) for agent in self.possible_agents}
+        self.state_space = Box(-np.inf, np.inf, (env.state_dim,), np.float32)
+        self._masks_in_obs = action_masks == "observation"
+        self._key = _key(seed)
+        self._env_state: EnvState = None
+        self._timestep: TimeStep | None = None
+
+    def observation_space(self, agent: str) -> Space:
+        """What `agent` observes."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Discrete:
+        """What `agent` can do, legal or not."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict | None = None
+    ) -> tuple[dict[str, Any], dict[str, dict]]:
+        """Start an episode; observations and infos by agent.
+
+        Args:
+            seed: where the randomness of this and all later episodes comes from; None goes on with
+                what there is.
+            options: not used.
+        """
+        del options
+        if seed is not None:
+            self._key = _key(seed)
+        reset, _ = _compile(self.env)
+        self._key, self._env_state, timestep = reset(self._key)
+        self.agents = list(self.possible_agents)
+        timestep = self._remember(timestep)
+        return self._observations(timestep), self._infos(timestep)
+
+    def step(
+        self, actions: Mapping[str, Any]
+    ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict]]:
+        """Advance one step.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            ValueError: the episode is over, or an agent has no action.
+        """
+        if not self.agents:
+            raise ValueError("there is no episode to step in: call reset first")
+        missing = [agent for agent in self.agents if agent not in actions]
+        if missing:
+            raise ValueError(f"actions must have one for each agent; {missing[0]} has none")
+        _, step = _compile(self.env)
+        action = np.array([actions[agent] for agent in self.agents], np.int32)
+        self._key, self._env_state, timestep = step(self._key, self._env_state, action)
+        timestep = self._remember(timestep)
+        agents = self.agents
+        if timestep.done:
+            self.agents = []
+        return (
+            self._observations(timestep),
+            dict.fromkeys(agents, float(timestep.reward)),
+            dict.fromkeys(agents, bool(timestep.terminated)),
+            dict.fromkeys(agents, bool(timestep.truncated)),
+            self._infos(timestep),
+        )
+
+    def state(self) -> np.ndarray:
+        """The global state, float32 (state_dim,)."""
+        return np.array(self._last().state)
+
+    def render(self) -> np.ndarray:
+        """A picture, uint8 (height, width, 3)."""
+        self._last()
+        return self.env.render(self._env_state)
+
+    def close(self) -> None:
+        """There is nothing to close."""
+
+    def _remember(self, timestep: TimeStep) -> TimeStep:
+        self._timestep = jax.tree.map(np.asarray, timestep)
+        return self._timestep
+
+    def _last(self) -> TimeStep:
+        if self._timestep is None:
+            raise ValueError("nothing has happened yet: call reset first")
+        return self._timestep
+
+    def _observations(self, timestep: TimeStep) -> dict[str, Any]:
+        rows = np.array(timestep.obs)
+        if not self._masks_in_obs:
+            return dict(zip(self.possible_agents, rows))
+        pairs = zip(rows, timestep.action_mask.astype(np.int8))
+        each = [{"observation": row, "action_mask": mask} for row, mask in pairs]
+        return dict(zip(self.possible_agents, each))
+
+    def _infos(self, timestep: TimeStep) -> dict[str, dict]:
+        numbers = {name: value.item() for name, value in timestep.info.items()}
+        masks = timestep.action_mask.astype(np.int8)
+        each = [numbers | {"action_mask": mask} for mask in masks]
+        return dict(zip(self.possible_agents, each))
+
+
+def _key(seed: int) -> jax.Array:
+    if seed < 0:
+        raise ValueError(f"seed must be at least 0, got {seed}")
+    return jax.random.key(seed)
+
+
+def _observation_space(env: Environment, action_masks: ActionMasks) -> Space:
+    vector = Box(-np.inf, np.inf, (env.obs_dim,), np.float32)
+    if action_masks == "info":
+        return vector
+    mask = Box(0, 1, (env.num_actions,), np.int8)
+    return Dict({"observation": vector, "action_mask": mask})
+
+
+@lru_cache(maxsize=64)
+def _compile(env: Environment) -> tuple[Callable, Callable]:
+    """`reset` and `step` that also hand on the key; compiled once for equal environments."""
+
+    def reset(key: jax.Array) -> tuple[jax.Array, EnvState, TimeStep]:
+        key, key_reset = jax.random.split(key)
+        return key, *env.reset(key_reset)
+
+    def step(
+        key: jax.Array, env_state: EnvState, action: jax.Array
+    ) -> tuple[jax.Array, EnvState, TimeStep]:
+        key, key_step = jax.random.split(key)
+        return key, *env.step(key_step, env_state, action)
+
+    return jax.jit(reset), jax.jit(step)
