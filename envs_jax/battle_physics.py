@@ -1,16 +1,19 @@
 """One tick of `micro_battle`, a sixteenth of a second: targets, shots, hits, steps, collisions.
 
-Arrays have units first, allies before enemies, and after that any axes of copies: (units, *copies).
-Copies last is where a processor's vector units want them, and loops over the few units are written
-out, so that all is arithmetic on whole rows of copies, without gathers or scatters.
+Arrays have units first, allies before enemies, and after that any axes of copies: (units, *copies),
+or (units, units, *copies) for what a unit has to do with another. Copies last is where a processor's
+vector units want them. Units are looked up by comparing indices and reducing, not by gathers; XLA
+computes a reduction once, where it would repeat a chain of cheap operations in each of its uses.
 """
 
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.battle_scenarios import Rectangle, Scenario, is_floor
 from envs_jax.battle_units import (
@@ -29,36 +32,33 @@ RESPONSE_TICKS = TICKS_PER_SECOND
 """How long a hit makes an enemy with nobody in reach turn to the shooter."""
 RESPONSE_RANGE = 9.0
 GOAL_RADIUS = 0.3
+LONG_AGO = -1e4
 LEAST_WOUND = 0.5
 """What a hit takes off health at least, whatever the armor."""
 
 
 class Units(NamedTuple):
-    """What changes of all units; times in ticks."""
+    """What changes of all units. Times are in ticks from the start of the environment step."""
 
     x: Float[Array, "units *copies"]
     y: Float[Array, "units *copies"]
     health: Float[Array, "units *copies"]
     """0 or less is dead."""
     shield: Float[Array, "units *copies"]
-    cooldown: Float[Array, "units *copies"]
-    """Until the next attack can begin."""
-    rest: Float[Array, "units *copies"]
-    """Until the unit can walk again."""
-    swing: Float[Array, "units *copies"]
-    """Until a hit lands that is on its way; 0 or less if none is."""
+    ready: Float[Array, "units *copies"]
+    """When the next attack can begin."""
+    begun: Float[Array, "units *copies"]
+    """When the last one began."""
+    struck: Float[Array, "units *copies"]
+    """When the unit was last hit,"""
+    shooter: Int[Array, "units *copies"]
+    """and by whom."""
     target: Int[Array, "units *copies"]
     """Whom the unit attacks, by index in this array."""
-    shooter: Int[Array, "units *copies"]
-    """Who hit it last."""
-    unharmed: Float[Array, "units *copies"]
-    """Since that hit."""
-    shot_at: Int[Array, "units *copies"]
-    """At whom an attack began during this environment step."""
 
 
 class Orders(NamedTuple):
-    """What units are to do; enemies' are not looked at."""
+    """What allies are to do; enemies' rows are not looked at."""
 
     target: Int[Array, "units *copies"]
     """Whom to attack, walking there if need be."""
@@ -70,8 +70,8 @@ class Orders(NamedTuple):
 class Roster(NamedTuple):
     """What stays of all units: rows (units, 1, ..), and for pairs (units, units, 1, ..)."""
 
-    automatic: np.ndarray
-    """Enemies: they choose their targets themselves."""
+    index: np.ndarray
+    is_enemy: np.ndarray
     max_health: np.ndarray
     max_shield: np.ndarray
     armor: np.ndarray
@@ -81,13 +81,15 @@ class Roster(NamedTuple):
     windup: np.ndarray
     second_hit: np.ndarray
     stand: np.ndarray
-    """Ticks without walking once an attack begins."""
+    """Ticks without walking from when an attack begins."""
     shield_regeneration: np.ndarray
     health_regeneration: np.ndarray
     cooldown_scale: np.ndarray
     reach: np.ndarray
     """Of each unit to each other, from center to center."""
     scan: np.ndarray
+    response: np.ndarray
+    """Up to where a hit makes the unit turn to the shooter."""
     damage: np.ndarray
     body: np.ndarray
     """Distance of a pair's centers below which it is pushed apart."""
@@ -100,32 +102,34 @@ def make_roster(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> R
     """The constants of a scenario, shaped for so many axes of copies."""
     spawns = (*scenario.allies, *scenario.enemies)
     types = [UNIT_TYPES[balance][spawn.unit] for spawn in spawns]
-    automatic = np.arange(len(spawns)) >= len(scenario.allies)
 
     def row(name: str, factor: float = 1.0) -> np.ndarray:
         return np.array([getattr(t, name) for t in types], np.float32) * np.float32(factor)
 
-    def pairs(entry) -> np.ndarray:
+    def pairs(entry: Callable[[UnitType, UnitType], float]) -> np.ndarray:
         return np.array([[entry(a, b) for b in types] for a in types], np.float32)
 
     ticks = TICKS_PER_SECOND
-    stand = np.where(automatic, row("backswing", ticks), 0)
-    stand = np.maximum(stand, row("windup", ticks) + row("second_hit", ticks))
+    windup, second_hit = np.ceil(row("windup", ticks)), np.ceil(row("second_hit", ticks))
+    is_enemy = np.arange(len(types)) >= len(scenario.allies)
+    reach = pairs(lambda a, b: a.reach + a.radius + b.radius)
     roster = Roster(
-        automatic=automatic,
+        index=np.arange(len(types)),
+        is_enemy=is_enemy,
         max_health=row("health"),
         max_shield=row("shield"),
         armor=row("armor"),
         speed=row("speed", 1 / ticks),
         period=row("period", ticks),
-        windup=row("windup", ticks),
-        second_hit=row("second_hit", ticks),
-        stand=stand,
+        windup=windup,
+        second_hit=second_hit,
+        stand=np.maximum(windup + second_hit, is_enemy * row("backswing", ticks)),
         shield_regeneration=row("shield_regeneration", 1 / ticks),
         health_regeneration=row("health_regeneration", 1 / ticks),
         cooldown_scale=row("cooldown_scale"),
-        reach=pairs(lambda a, b: a.reach + a.radius + b.radius),
+        reach=reach,
         scan=pairs(lambda a, b: a.scan + a.radius + b.radius),
+        response=np.where(row("speed")[:, None] > 0, RESPONSE_RANGE, reach),
         damage=pairs(lambda a, b: a.damage + b.armored * a.bonus),
         body=pairs(lambda a, b: a.body + b.body),
         yielding=pairs(_yielding) * (1 - np.eye(len(types), dtype=np.float32)),
@@ -150,6 +154,7 @@ def tick(
     orders: Orders,
     goal: Float[Array, "2 *copies"] | None,
     luck: Float[Array, "units *copies"],
+    now: Float[Array, ""],
 ) -> Units:
     """Advance the battle by one tick.
 
@@ -161,31 +166,38 @@ def tick(
         goal: where enemies go that have no target; None to stay.
         luck: in [0, 1), where in its bounds the delay of a weapon is. One number per environment
             step is enough, as no weapon can begin two attacks in eight ticks.
+        now: ticks since the start of the environment step.
     """
-    units = recover(roster, units)
-    units = units._replace(target=choose_targets(roster, units, orders))
-    units, hits = attack(roster, units, luck)
-    hurt = take_hits(roster, units, hits)
-    return push_apart(roster, floor, walk(roster, floor, hurt, orders, goal))
+    units = recover(roster, units, now)
+    # All that follows happens where units stand now, so that distances are needed only once.
+    away = length(units.x - units.x[:, None], units.y - units.y[:, None])
+    units = units._replace(target=choose_targets(roster, units, away, orders, now))
+    x, y = move(roster, floor, units, away, orders, goal, now)
+    units, hits = attack(roster, units, away, luck, now)
+    units = jax.lax.cond(hits.any(), partial(take_hits, roster), _unhurt, units, hits, now)
+    return units._replace(x=x, y=y)
 
 
-def recover(roster: Roster, units: Units) -> Units:
-    """Let a tick pass for all timers, and heal."""
+def _unhurt(units: Units, hits: Array, now: Array) -> Units:
+    del hits, now
+    return units
+
+
+def recover(roster: Roster, units: Units, now: Array) -> Units:
+    """Regenerate health, and shields that were not hit for a while."""
     alive = units.health > 0
-    unharmed = units.unharmed + 1
-    healed = units.health + roster.health_regeneration
-    restored = units.shield + roster.shield_regeneration
-    rested = alive & (unharmed > SHIELD_DELAY * TICKS_PER_SECOND)
+    rested = alive & (now - units.struck >= SHIELD_DELAY * TICKS_PER_SECOND)
+    health = jnp.minimum(units.health + roster.health_regeneration, roster.max_health)
+    shield = jnp.minimum(units.shield + roster.shield_regeneration, roster.max_shield)
     return units._replace(
-        health=jnp.where(alive, jnp.minimum(healed, roster.max_health), units.health),
-        shield=jnp.where(rested, jnp.minimum(restored, roster.max_shield), units.shield),
-        cooldown=units.cooldown - 1,
-        rest=units.rest - 1,
-        unharmed=unharmed,
+        health=jnp.where(alive, health, units.health),
+        shield=jnp.where(rested, shield, units.shield),
     )
 
 
-def choose_targets(roster: Roster, units: Units, orders: Orders) -> Int[Array, "units *copies"]:
+def choose_targets(
+    roster: Roster, units: Units, away: Array, orders: Orders, now: Array
+) -> Int[Array, "units *copies"]:
     """Allies attack whom they are ordered to and nobody else. An enemy takes the first of
 
     1. its target, while that is alive and in reach;
@@ -197,139 +209,116 @@ def choose_targets(roster: Roster, units: Units, orders: Orders) -> Int[Array, "
     enemies to attack-move once; that a zealot turns to who hit it is inferred from SMAC's
     description of 2m_vs_1z ("alternating fire").
     """
-    nearest, nearest_away = NOBODY, jnp.inf
-    keeps = responds = False
-    for index in range(int((~roster.automatic).sum())):
-        away = distance(units.x[index] - units.x, units.y[index] - units.y)
-        alive = units.health[index] > 0
-        in_reach = alive & (away <= roster.reach[:, index])
-        near = alive & (away <= RESPONSE_RANGE) & (roster.speed > 0)
-        keeps |= (units.target == index) & in_reach
-        responds |= (units.shooter == index) & (in_reach | near)
-        closer = alive & (away <= roster.scan[:, index]) & (away < nearest_away)
-        nearest = jnp.where(closer, index, nearest)
-        nearest_away = jnp.where(closer, away, nearest_away)
-    responds &= units.unharmed <= RESPONSE_TICKS
-    chosen = jnp.where(responds, units.shooter, nearest)
-    chosen = jnp.where(keeps, units.target, chosen)
-    chosen = jnp.where(roster.automatic, chosen, orders.target)
-    return jnp.where(units.swing > 0, units.target, chosen)
+    allies = np.s_[: int((~roster.is_enemy).sum())]
+    index, alive = roster.index[allies], units.health[allies] > 0
+    away = away[:, allies]  # (units, allies, *copies)
+    hit_by = units.shooter[:, None] == index
+    hit_by &= (now - units.struck <= RESPONSE_TICKS)[:, None]
+    # The rules as one number, of which the least is taken.
+    score = jnp.where(alive & (away <= roster.scan[:, allies]), away, jnp.inf)
+    score = jnp.where(alive & hit_by & (away <= roster.response[:, allies]), -1, score)
+    kept = (units.target[:, None] == index) & (away <= roster.reach[:, allies])
+    score = jnp.where(alive & kept, -2, score)
+    is_best = (score == score.min(1, keepdims=True)) & (score < jnp.inf)
+    chosen = jnp.where(is_best, index, len(roster.index)).min(1)
+    chosen = jnp.where(chosen == len(roster.index), NOBODY, chosen)
+    holds = now - units.begun <= roster.windup + roster.second_hit
+    return jnp.where(holds, units.target, jnp.where(roster.is_enemy, chosen, orders.target))
 
 
 def attack(
-    roster: Roster, units: Units, luck: Float[Array, "units *copies"]
-) -> tuple[Units, Array]:
-    """Begin attacks and carry on with those that are on their way.
+    roster: Roster, units: Units, away: Array, luck: Float[Array, "units *copies"], now: Array
+) -> tuple[Units, Bool[Array, "units *copies"]]:
+    """Begin attacks and carry on with those that have begun.
 
     Returns:
         The units, and whether each lands a hit on its target now.
     """
     alive = units.health > 0
-    possible = alive & (_of_target(units.target, units.health) > 0) & _in_reach(roster, units)
-    on_its_way = units.swing > 0
-    swing = units.swing - 1
-    lands = alive & on_its_way & (swing <= 0)
+    in_reach = is_target(roster, units) & alive & (away <= roster.reach)
+    possible = alive & in_reach.any(1)
+    elapsed, until_hit = now - units.begun, roster.windup + roster.second_hit
     # Weapons with a wind-up miss whoever has left, and can attack anew at once.
-    breaks_off = on_its_way & (roster.windup > 0) & ~possible
-    begins = possible & ~on_its_way & (units.cooldown <= 0)
+    misses = (roster.windup > 0) & (elapsed <= until_hit) & ~possible
+    begins = possible & (elapsed > until_hit) & (units.ready <= now)
+    lands = alive & (until_hit > 0) & (elapsed == until_hit) & ~misses
     delay = (EARLIEST + (LATEST - EARLIEST) * luck) * TICKS_PER_SECOND
-    waiting = jnp.where(begins, roster.windup + roster.second_hit, swing)
-    cooldown = jnp.where(begins, roster.period + delay, units.cooldown)
+    ready = jnp.where(begins, now + roster.period + delay, units.ready)
+    begun = jnp.where(begins, now, units.begun)
     units = units._replace(
-        swing=jnp.where(breaks_off, 0, waiting),
-        cooldown=jnp.where(breaks_off, 0, cooldown),
-        rest=jnp.where(begins, roster.stand, units.rest),
-        shot_at=jnp.where(begins, units.target, units.shot_at),
+        ready=jnp.where(misses, now, ready), begun=jnp.where(misses, LONG_AGO, begun)
     )
-    return units, (lands & ~breaks_off) | (begins & (roster.windup == 0))
+    return units, lands | (begins & (roster.windup == 0))
 
 
-def take_hits(roster: Roster, units: Units, hits: Array) -> Units:
+def take_hits(
+    roster: Roster, units: Units, hits: Bool[Array, "units *copies"], now: Array
+) -> Units:
     """Subtract what hits take, one attacker after the other: shields first, then health."""
-    health, shield, shooter = units.health, units.shield, units.shooter
-    unharmed = units.unharmed
-    everyone = np.arange(len(roster.armor)).reshape(roster.armor.shape)
-    for index in range(len(roster.armor)):
-        struck = hits[index] & (units.target[index] == everyone)
-        damage = roster.damage[index]
-        left = damage - jnp.minimum(shield, damage)
-        wound = jnp.where(left > 0, jnp.maximum(left - roster.armor, LEAST_WOUND), 0)
-        health = jnp.where(struck, health - wound, health)
-        shield = jnp.where(struck, jnp.maximum(shield - damage, 0), shield)
-        shooter = jnp.where(struck, index, shooter)
-        unharmed = jnp.where(struck, 0, unharmed)
-    return units._replace(health=health, shield=shield, shooter=shooter, unharmed=unharmed)
+    lands = hits[:, None] & is_target(roster, units)  # (attackers, victims, *copies)
+    damage = jnp.where(lands, roster.damage, 0)
+    total = wounds = 0
+    for attacker in range(len(damage)):
+        before, total = total, total + damage[attacker]
+        left = jnp.maximum(total - jnp.maximum(units.shield, before), 0)
+        wounds += jnp.where(left > 0, jnp.maximum(left - roster.armor, LEAST_WOUND), 0)
+    last = jnp.where(lands, roster.index[:, None], NOBODY).max(0)
+    is_hit = last != NOBODY
+    return units._replace(
+        health=units.health - wounds,
+        shield=jnp.maximum(units.shield - damage.sum(0), 0),
+        struck=jnp.where(is_hit, now, units.struck),
+        shooter=jnp.where(is_hit, last, units.shooter),
+    )
 
 
-def walk(
+def move(
     roster: Roster,
     floor: tuple[Rectangle, ...],
     units: Units,
+    away: Array,
     orders: Orders,
     goal: Float[Array, "2 *copies"] | None,
-) -> Units:
-    """Walk to targets out of reach, else where orders or the goal say; slide along walls."""
-    target_health = _of_target(units.target, units.health)
-    engaged = (units.target != NOBODY) & (target_health > 0)
-    dx = _of_target(units.target, units.x) - units.x
-    dy = _of_target(units.target, units.y) - units.y
-    chases = engaged & ~_in_reach(roster, units)
+    now: Array,
+) -> tuple[Array, Array]:
+    """Walk and be pushed apart.
+
+    A unit walks to its target if that is out of reach, else where orders or the goal say, and
+    slides along walls: it goes as far as it can along each axis.
+
+    Returns:
+        New x and y.
+    """
+    alive = units.health > 0
+    is_free = alive & (now - units.begun >= roster.stand)
+    pace = jnp.where(is_free, roster.speed, 0)
+    attacked = is_target(roster, units) & alive
+    chase = jnp.where(attacked & (away > roster.reach), pace[:, None], 0)
+    overlap = jnp.where(alive & alive[:, None], jnp.maximum(roster.body - away, 0), 0)
+    pull = (chase - overlap * roster.yielding) / jnp.maximum(away, 1e-3)
+    dx = (pull * (units.x - units.x[:, None])).sum(1)
+    dy = (pull * (units.y - units.y[:, None])).sum(1)
+
     toward_x, toward_y = orders.toward_x, orders.toward_y
     if goal is not None:
         goal_x, goal_y = goal[0] - units.x, goal[1] - units.y
-        to_goal = distance(goal_x, goal_y)
-        off = roster.automatic & (to_goal > GOAL_RADIUS)
-        scale = 1 / jnp.maximum(to_goal, GOAL_RADIUS)
-        toward_x = jnp.where(off, goal_x * scale, toward_x)
-        toward_y = jnp.where(off, goal_y * scale, toward_y)
-    scale = 1 / jnp.maximum(distance(dx, dy), 1e-3)
-    toward_x = jnp.where(chases, dx * scale, jnp.where(engaged, 0, toward_x))
-    toward_y = jnp.where(chases, dy * scale, jnp.where(engaged, 0, toward_y))
-    pace = jnp.where((units.health > 0) & (units.rest <= 0), roster.speed, 0)
-    return _move(floor, units, units.x + pace * toward_x, units.y + pace * toward_y)
+        to_goal = length(goal_x, goal_y)
+        scale = jnp.where(to_goal > GOAL_RADIUS, 1 / to_goal, 0)
+        toward_x = jnp.where(roster.is_enemy, goal_x * scale, toward_x)
+        toward_y = jnp.where(roster.is_enemy, goal_y * scale, toward_y)
+    pace = jnp.where(attacked.any(1), 0, pace)
+    x, y = units.x + dx + pace * toward_x, units.y + dy + pace * toward_y
+
+    along_x = is_floor(floor, x, units.y)
+    both, along_y = is_floor(floor, x, y), ~along_x & is_floor(floor, units.x, y)
+    return jnp.where(both | along_x, x, units.x), jnp.where(both | along_y, y, units.y)
 
 
-def _move(floor: tuple[Rectangle, ...], units: Units, x: Array, y: Array) -> Units:
-    """Move to (x, y) as far as walls allow: fully, else along one axis, else not at all."""
-    both, along_x = is_floor(floor, x, y), is_floor(floor, x, units.y)
-    along_y = ~both & ~along_x & is_floor(floor, units.x, y)
-    return units._replace(
-        x=jnp.where(both | along_x, x, units.x), y=jnp.where(both | along_y, y, units.y)
-    )
+def is_target(roster: Roster, units: Units) -> Bool[Array, "units units *copies"]:
+    """Whether the first unit attacks the second."""
+    return units.target[:, None] == roster.index
 
 
-def push_apart(roster: Roster, floor: tuple[Rectangle, ...], units: Units) -> Units:
-    """Part living units that overlap, all at once, but push none into a wall."""
-    alive = units.health > 0
-    push_x = push_y = 0
-    for index in range(len(roster.speed)):
-        dx, dy = units.x - units.x[index], units.y - units.y[index]
-        away = jnp.maximum(distance(dx, dy), 1e-3)
-        overlap = jnp.maximum(roster.body[:, index] - away, 0) * roster.yielding[:, index]
-        share = jnp.where(alive & alive[index], overlap / away, 0)
-        push_x, push_y = push_x + dx * share, push_y + dy * share
-    x, y = units.x + push_x, units.y + push_y
-    free = is_floor(floor, x, y)
-    return units._replace(x=jnp.where(free, x, units.x), y=jnp.where(free, y, units.y))
-
-
-def distance(dx: Array, dy: Array) -> Array:
-    """Length of a vector."""
-    return jnp.sqrt(dx * dx + dy * dy)
-
-
-def _of_target(target: Array, values: Array) -> Array:
-    """Each unit's `values` of its target, 0 for nobody."""
-    found = jnp.zeros_like(values)
-    for index in range(len(values)):
-        found = jnp.where(target == index, values[index], found)
-    return found
-
-
-def _in_reach(roster: Roster, units: Units) -> Array:
-    """Whether each unit's weapon carries to its target; nobody is out of reach."""
-    found = False
-    for index in range(len(roster.speed)):
-        away = distance(units.x[index] - units.x, units.y[index] - units.y)
-        found |= (units.target == index) & (away <= roster.reach[:, index])
-    return found
+def length(x: Array, y: Array) -> Array:
+    """Of a vector."""
+    return jnp.sqrt(x * x + y * y)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import Roster, Units, column, distance
+from envs_jax.battle_physics import Roster, Units, column, length
 from envs_jax.battle_scenarios import Scenario, is_floor
 from envs_jax.battle_units import UNIT_TYPES
 
@@ -58,7 +58,7 @@ def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions
     alive = units.health > 0
     moves = [is_floor(scenario.floor, x + dx, y + dy) for dx, dy in DIRECTIONS]
     attacks = [
-        alive[enemy] & (distance(units.x[enemy] - x, units.y[enemy] - y) <= ATTACK_RANGE)
+        alive[enemy] & (length(units.x[enemy] - x, units.y[enemy] - y) <= ATTACK_RANGE)
         for enemy in range(agents, len(alive))
     ]
     rows = [jnp.ones_like(alive[:agents]), *moves, *attacks]
@@ -80,7 +80,7 @@ def observe(
     state = _global_state(scenario, observation, roster, units, acted)
 
     dx, dy = units.x - units.x[:agents, None], units.y - units.y[:agents, None]
-    away = distance(dx, dy)  # (agents, units, *copies)
+    away = length(dx, dy)  # (agents, units, *copies)
     alive = units.health > 0
     seen = (away < SIGHT) & alive & alive[:agents, None]
     place = [away / SIGHT, dx / SIGHT, dy / SIGHT]
@@ -129,7 +129,7 @@ def _global_state(
     for side in ("allies", "enemies"):
         part = slice(agents) if side == "allies" else slice(agents, None)
         health, *rest = _vitals(scenario, side, roster, units)
-        cooldown = [jnp.maximum(units.cooldown, 0) / roster.cooldown_scale] * (side == "allies")
+        cooldown = [jnp.maximum(units.ready, 0) / roster.cooldown_scale] * (side == "allies")
         features = [jnp.where(alive, f, 0.0)[part] for f in (health, *cooldown, x, y, *rest)]
         if observation == "mappo":
             blank = jnp.zeros_like(x[part])

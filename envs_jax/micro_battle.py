@@ -16,9 +16,9 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import NOBODY, Orders, Units, column, distance, make_roster, tick
+from envs_jax.battle_physics import LONG_AGO, NOBODY, Orders, Units, column, length, make_roster, tick
 from envs_jax.battle_scenarios import JITTER, SCENARIOS, Scenario, is_floor
-from envs_jax.battle_units import SHIELD_DELAY, TICKS_PER_SECOND, Balance
+from envs_jax.battle_units import Balance
 from envs_jax.battle_views import (
     ATTACK_RANGE,
     DIRECTIONS,
@@ -148,13 +148,11 @@ class MicroBattle:
             y=y,
             health=zero + roster.max_health,
             shield=zero + roster.max_shield,
-            cooldown=zero,
-            rest=zero,
-            swing=zero,
-            target=nobody,
+            ready=zero,
+            begun=zero + LONG_AGO,
+            struck=zero + LONG_AGO,
             shooter=nobody,
-            unharmed=zero + SHIELD_DELAY * TICKS_PER_SECOND,
-            shot_at=nobody,
+            target=nobody,
         )
         state = MicroBattleState(
             units=units,
@@ -176,11 +174,16 @@ class MicroBattle:
         orders = self._read_orders(state.units, action)
         goal = state.goal if scenario.goals else None
 
-        def advance(units: Units, _: None) -> tuple[Units, None]:
-            return tick(roster, scenario.floor, units, orders, goal, luck), None
+        def advance(units: Units, now: Array) -> tuple[Units, None]:
+            return tick(roster, scenario.floor, units, orders, goal, luck, now), None
 
-        units = state.units._replace(shot_at=jnp.full_like(state.units.shot_at, NOBODY))
-        units, _ = jax.lax.scan(advance, units, length=TICKS_PER_STEP)
+        now = jnp.arange(TICKS_PER_STEP, dtype=jnp.float32)
+        units, _ = jax.lax.scan(advance, state.units, now)
+        units = units._replace(
+            ready=jnp.maximum(units.ready - TICKS_PER_STEP, 0),
+            begun=units.begun - TICKS_PER_STEP,
+            struck=units.struck - TICKS_PER_STEP,
+        )
         after = MicroBattleState(units, state.goal, action.astype(jnp.int32), state.time + 1)
         return after, self._timestep(after, self._won(state.units))
 
@@ -195,12 +198,12 @@ class MicroBattle:
             toward_y = jnp.where(legal, dy, toward_y)
         target = jnp.full(action.shape, NOBODY, jnp.int32)
         for index in range(agents, len(units.x)):
-            near = distance(units.x[index] - x, units.y[index] - y) <= ATTACK_RANGE
+            near = length(units.x[index] - x, units.y[index] - y) <= ATTACK_RANGE
             legal = (action == FIRST_ATTACK + index - agents) & near
             target = jnp.where(legal, index, target)
         enemies = jnp.zeros_like(units.x[agents:])
         return Orders(
-            target=jnp.concatenate([target, enemies.astype(target.dtype)]),
+            target=jnp.concatenate([target, enemies.astype(jnp.int32)]),
             toward_x=jnp.concatenate([toward_x, enemies]),
             toward_y=jnp.concatenate([toward_y, enemies]),
         )
