@@ -1,8 +1,8 @@
 """One tick of `micro_battle`, a sixteenth of a second: targets, shots, hits, steps, collisions.
 
 Arrays have units first, allies before enemies, and after that any axes of copies: (units, *copies),
-or (units, units, *copies) for what a unit has to do with another. Copies last is where a processor's
-vector units want them. Units are looked up by comparing indices and reducing, not by gathers; XLA
+or (units, units, *copies) for what a unit has to do with another. Copies last is where vector units
+of a processor want them. Units are looked up by comparing indices and reducing, not by gathers: XLA
 computes a reduction once, where it would repeat a chain of cheap operations in each of its uses.
 """
 
@@ -198,7 +198,9 @@ def recover(roster: Roster, units: Units, now: Array) -> Units:
 def choose_targets(
     roster: Roster, units: Units, away: Array, orders: Orders, now: Array
 ) -> Int[Array, "units *copies"]:
-    """Allies attack whom they are ordered to and nobody else. An enemy takes the first of
+    """Give allies the targets they are ordered to attack, and enemies their own choice.
+
+    An ally attacks nobody without an order. An enemy takes the first of
 
     1. its target, while that is alive and in reach;
     2. who hit it within the last second, alive and within 9 cells (in reach, if it cannot walk);

@@ -7,6 +7,7 @@ time limits are read from SMAC's own map archives (oxwhirl/smac, SMAC_Maps). Of 
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from envs_jax.battle_units import UNIT_TYPES
 
@@ -88,7 +89,7 @@ class Scenario:
                 raise ValueError(f"{where}: another unit starts at ({spawn.x}, {spawn.y}) too")
 
 
-def is_floor(floor: Sequence[Rectangle], x, y):
+def is_floor(floor: Sequence[tuple[float, float, float, float]], x: Any, y: Any) -> Any:
     """Whether points are in any of the rectangles; numbers or arrays of one shape."""
     inside = False
     for left, bottom, right, top in floor:

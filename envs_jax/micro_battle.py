@@ -8,7 +8,7 @@ modelled and what is not: docs/micro_battle.md.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from typing import NamedTuple, get_args
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,17 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import LONG_AGO, NOBODY, Orders, Units, column, length, make_roster, tick
+from envs_jax.battle_physics import (
+    LONG_AGO,
+    NOBODY,
+    Orders,
+    Units,
+    column,
+    length,
+    make_roster,
+    tick,
+)
+from envs_jax.battle_render import ALLIES, draw
 from envs_jax.battle_scenarios import JITTER, SCENARIOS, Scenario, is_floor
 from envs_jax.battle_units import Balance
 from envs_jax.battle_views import (
@@ -118,6 +128,11 @@ class MicroBattle:
         """Names of the agents in pictures."""
         return tuple(f"{spawn.unit} {i + 1}" for i, spawn in enumerate(self.layout.allies))
 
+    @property
+    def agent_colors(self) -> tuple[tuple[int, int, int], ...]:
+        """Colors of the agents in pictures."""
+        return tuple(ALLIES[i % len(ALLIES)] for i in range(self.num_agents))
+
     def reset(self, key: jax.Array) -> tuple[MicroBattleState, TimeStep]:
         """Place all units where the scenario has them, up to 0.1 cells off."""
         num_units = self.num_agents + len(self.layout.enemies)
@@ -212,9 +227,7 @@ class MicroBattle:
         alive = units.health > 0
         return alive[: self.num_agents].any(0) & ~alive[self.num_agents :].any(0)
 
-    def _timestep(
-        self, state: MicroBattleState, won_before: Bool[Array, "*copies"]
-    ) -> TimeStep:
+    def _timestep(self, state: MicroBattleState, won_before: Bool[Array, "*copies"]) -> TimeStep:
         units = state.units
         roster = make_roster(self.layout, self.balance, units.x.ndim - 1)
         mask = action_mask(self.layout, units)
@@ -240,8 +253,8 @@ class MicroBattle:
         )
 
     def render(self, env_state: MicroBattleState) -> np.ndarray:
-        """Draw the arena; see `battle_render.draw`."""
-        return np.zeros((4, 4, 3), np.uint8)
+        """Draw the arena, its units and their shots; see `battle_render.draw`."""
+        return draw(self.layout, env_state)
 
 
 def _copies_last(function: Callable) -> Callable:
@@ -256,6 +269,8 @@ def _copies_last(function: Callable) -> Callable:
             return jnp.broadcast_to(x[..., None], (*x.shape, size))
 
         out = _copies_last(function)(*jax.tree.map(move, args, tuple(is_batched)))
-        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), out), jax.tree.map(lambda _: True, out)
+        return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), out), jax.tree.map(
+            lambda _: True, out
+        )
 
     return batched
