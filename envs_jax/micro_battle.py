@@ -8,6 +8,7 @@ modelled and what is not: docs/micro_battle.md.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, get_args
 
 import jax
@@ -257,9 +258,10 @@ class MicroBattle:
         return draw(self.layout, env_state)
 
 
+@lru_cache  # so that calls without jit find what they compiled before
 def _copies_last(function: Callable) -> Callable:
     """Make `jax.vmap` of `function` call it with the copies axis last in all arrays."""
-    batched = custom_vmap(function)
+    batched = custom_vmap(jax.jit(function))
 
     @batched.def_vmap
     def rule(size, is_batched, *args):
