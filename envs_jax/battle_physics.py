@@ -7,7 +7,7 @@ computes a reduction once, where it would repeat a chain of cheap operations in 
 """
 
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -15,22 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_scenarios import Rectangle, Scenario, is_floor
-from envs_jax.battle_units import (
-    EARLIEST,
-    LATEST,
-    SHIELD_DELAY,
-    TICKS_PER_SECOND,
-    UNIT_TYPES,
-    Balance,
-    UnitType,
-)
+from envs_jax.battle_roster import Roster
+from envs_jax.battle_scenarios import Rectangle, is_floor
+from envs_jax.battle_units import EARLIEST, LATEST, SHIELD_DELAY, TICKS_PER_SECOND
 
 NOBODY = -1
 """In place of a unit's index."""
 RESPONSE_TICKS = TICKS_PER_SECOND
 """How long a hit makes an enemy with nobody in reach turn to the shooter."""
-RESPONSE_RANGE = 9.0
 GOAL_RADIUS = 0.3
 LONG_AGO = -1e4
 LEAST_WOUND = 0.5
@@ -67,86 +59,6 @@ class Orders(NamedTuple):
     """Direction to walk in, of length 1 or 0."""
 
 
-class Roster(NamedTuple):
-    """What stays of all units: rows (units, 1, ..), and for pairs (units, units, 1, ..)."""
-
-    index: np.ndarray
-    is_enemy: np.ndarray
-    max_health: np.ndarray
-    max_shield: np.ndarray
-    armor: np.ndarray
-    speed: np.ndarray
-    """Cells per tick."""
-    period: np.ndarray
-    windup: np.ndarray
-    second_hit: np.ndarray
-    stand: np.ndarray
-    """Ticks without walking from when an attack begins."""
-    shield_regeneration: np.ndarray
-    health_regeneration: np.ndarray
-    cooldown_scale: np.ndarray
-    reach: np.ndarray
-    """Of each unit to each other, from center to center."""
-    scan: np.ndarray
-    response: np.ndarray
-    """Up to where a hit makes the unit turn to the shooter."""
-    damage: np.ndarray
-    body: np.ndarray
-    """Distance of a pair's centers below which it is pushed apart."""
-    yielding: np.ndarray
-    """Which part of the push the first of a pair takes."""
-
-
-@lru_cache
-def make_roster(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> Roster:
-    """The constants of a scenario, shaped for so many axes of copies."""
-    spawns = (*scenario.allies, *scenario.enemies)
-    types = [UNIT_TYPES[balance][spawn.unit] for spawn in spawns]
-
-    def row(name: str, factor: float = 1.0) -> np.ndarray:
-        return np.array([getattr(t, name) for t in types], np.float32) * np.float32(factor)
-
-    def pairs(entry: Callable[[UnitType, UnitType], float]) -> np.ndarray:
-        return np.array([[entry(a, b) for b in types] for a in types], np.float32)
-
-    ticks = TICKS_PER_SECOND
-    windup, second_hit = np.ceil(row("windup", ticks)), np.ceil(row("second_hit", ticks))
-    is_enemy = np.arange(len(types)) >= len(scenario.allies)
-    reach = pairs(lambda a, b: a.reach + a.radius + b.radius)
-    roster = Roster(
-        index=np.arange(len(types)),
-        is_enemy=is_enemy,
-        max_health=row("health"),
-        max_shield=row("shield"),
-        armor=row("armor"),
-        speed=row("speed", 1 / ticks),
-        period=row("period", ticks),
-        windup=windup,
-        second_hit=second_hit,
-        stand=np.maximum(windup + second_hit, is_enemy * row("backswing", ticks)),
-        shield_regeneration=row("shield_regeneration", 1 / ticks),
-        health_regeneration=row("health_regeneration", 1 / ticks),
-        cooldown_scale=row("cooldown_scale"),
-        reach=reach,
-        scan=pairs(lambda a, b: a.scan + a.radius + b.radius),
-        response=np.where(row("speed")[:, None] > 0, RESPONSE_RANGE, reach),
-        damage=pairs(lambda a, b: a.damage + b.armored * a.bonus),
-        body=pairs(lambda a, b: a.body + b.body),
-        yielding=pairs(_yielding) * (1 - np.eye(len(types), dtype=np.float32)),
-    )
-    return Roster(*(column(array, copies_ndim) for array in roster))
-
-
-def column(constants: np.ndarray, copies_ndim: int) -> np.ndarray:
-    """Shape constants so that they broadcast over axes of copies behind theirs."""
-    return constants.reshape(constants.shape + (1,) * copies_ndim)
-
-
-def _yielding(a: UnitType, b: UnitType) -> float:
-    """Two units that move take half of a push each; what stands fast takes nothing of it."""
-    return 0.0 if not a.speed else 0.5 if b.speed else 1.0
-
-
 def tick(
     roster: Roster,
     floor: tuple[Rectangle, ...],
@@ -174,13 +86,18 @@ def tick(
     units = units._replace(target=choose_targets(roster, units, away, orders, now))
     x, y = move(roster, floor, units, away, orders, goal, now)
     units, hits = attack(roster, units, away, luck, now)
-    units = jax.lax.cond(hits.any(), partial(take_hits, roster), _unhurt, units, hits, now)
+    hurt = partial(take_hits, roster)
+    # On a CPU, most ticks of few copies are over without a hit, and XLA then computes `hits` once
+    # and not for each pair of units. An accelerator would only wait for the answer.
+    units = jax.lax.platform_dependent(
+        units, hits, now, cpu=partial(_where_any, hurt), default=hurt
+    )
     return units._replace(x=x, y=y)
 
 
-def _unhurt(units: Units, hits: Array, now: Array) -> Units:
-    del hits, now
-    return units
+def _where_any(function: Callable, units: Units, hits: Array, now: Array) -> Units:
+    """`function`, if there are any hits at all."""
+    return jax.lax.cond(hits.any(), function, lambda units, *_: units, units, hits, now)
 
 
 def recover(roster: Roster, units: Units, now: Array) -> Units:

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import Roster, Units, column, length
+from envs_jax.battle_physics import Units, length
+from envs_jax.battle_roster import Roster, column
 from envs_jax.battle_scenarios import Scenario, is_floor
 from envs_jax.battle_units import UNIT_TYPES
 

@@ -17,17 +17,9 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import (
-    LONG_AGO,
-    NOBODY,
-    Orders,
-    Units,
-    column,
-    length,
-    make_roster,
-    tick,
-)
+from envs_jax.battle_physics import LONG_AGO, NOBODY, Orders, Units, length, tick
 from envs_jax.battle_render import ALLIES, draw
+from envs_jax.battle_roster import column, make_roster
 from envs_jax.battle_scenarios import JITTER, SCENARIOS, Scenario, is_floor
 from envs_jax.battle_units import Balance
 from envs_jax.battle_views import (

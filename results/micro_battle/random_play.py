@@ -1,7 +1,9 @@
-"""How often uniformly random legal actions win: python results/micro_battle/random_play.py [N].
+"""How often uniformly random legal actions win.
 
-Plays N episodes (default 1,000,000) of each of the paper's scenarios and writes random.json beside
-this file.
+python results/micro_battle/random_play.py [EPISODES [SCENARIO BALANCE]]
+
+Plays so many episodes (default 1,000,000) of each of the paper's scenarios, or of one, and writes
+down the counts in random.json beside this file.
 """
 
 import json
@@ -52,21 +54,21 @@ def make_play(env: MicroBattle):
 
 def main() -> None:
     """Count, print and write."""
-    episodes = int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000
-    rows = []
-    for scenario, balance in SCENARIOS:
+    episodes, *chosen = sys.argv[1:] or ["1000000"]
+    path = Path(__file__).with_name("random.json")
+    for scenario, balance in [tuple(chosen)] if chosen else SCENARIOS:
         play = make_play(MicroBattle(scenario, balance))
         counts = [0, 0, 0]
-        for batch in range(episodes // COPIES):
+        for batch in range(int(episodes) // COPIES):
             new = play(jax.random.fold_in(jax.random.key(0), batch))
             counts = [int(a) + b for a, b in zip(new, counts)]
-        names = ("wins", "out_of_time", "env_steps")
-        rows.append({"scenario": scenario, "balance": balance, "episodes": episodes})
-        rows[-1] |= dict(zip(names, counts))
-        print(rows[-1], flush=True)
-    record = {"command": "python results/micro_battle/random_play.py", "rows": rows}
-    path = Path(__file__).with_name("random.json")
-    path.write_text(json.dumps(record, indent=2) + "\n")
+        command = f"python results/micro_battle/random_play.py {episodes} {scenario} {balance}"
+        row = {"command": command, "episodes": int(episodes)}
+        row |= dict(zip(("wins", "out_of_time", "env_steps"), counts))
+        print(row, flush=True)
+        rows = json.loads(path.read_text()) if path.exists() else {}
+        rows[f"{scenario} {balance}"] = row
+        path.write_text(json.dumps(rows, indent=2) + "\n")
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import pytest
 
 from envs_jax import battle_physics as physics
 from envs_jax.battle_physics import LONG_AGO, NOBODY
+from envs_jax.battle_roster import make_roster
 from envs_jax.battle_scenarios import Scenario, Spawn
 from envs_jax.micro_battle import MicroBattle
 
@@ -173,7 +174,7 @@ def test_spine_crawler_winds_up_and_loses_who_leaves():
 
 def roster_of(*units):
     scenario = Scenario((Spawn(units[0], 5.0, 5.0),), (Spawn(units[1], 9.0, 5.0),), ROOM)
-    return physics.make_roster(scenario, "multi")
+    return make_roster(scenario, "multi")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +230,7 @@ def test_regeneration():
 def test_whom_a_zealot_attacks(places, fields, expected):
     spawns = [("marine", *place) for place in places], [("zealot", 15.4, 10)]
     state = change(battle(*spawns)[1], **fields)
-    roster = physics.make_roster(
+    roster = make_roster(
         Scenario(*(tuple(Spawn(*unit) for unit in side) for side in spawns), ROOM), "multi"
     )
     units = state.units
