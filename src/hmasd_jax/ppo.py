@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.settings import check_divides, check_multiple, check_range
 from hmasd_jax.types import Metrics
@@ -64,16 +64,39 @@ class PPOConfig:
         check_divides("num_minibatches", self.num_minibatches, sequences_name, sequences)
 
 
+def has_choice(action_mask: Bool[Array, "*batch N actions"]) -> Bool[Array, "*batch N"]:
+    """Whether an agent has more than one legal action: the active agents of on-policy.
+
+    The dead have none but to do nothing. As the ratio of an only action is 1 whatever the
+    parameters, it has no policy gradient: leaving such steps out changes what means are taken over,
+    never what is learned from a step, even where a living agent has no choice.
+    """
+    return action_mask.sum(-1) > 1
+
+
+def masked_mean(
+    x: Float[Array, "*batch"], active: Bool[Array, "*batch"] | None = None
+) -> Float[Array, ""]:
+    """Mean over the entries that are active (0 if none is), or over all."""
+    if active is None:
+        return x.mean()
+    return jnp.where(active, x, 0.0).sum() / jnp.maximum(active.sum(), 1)
+
+
 def policy_loss(
     log_prob: Float[Array, "*batch"],
     old_log_prob: Float[Array, "*batch"],
     advantage: Float[Array, "*batch"],
     clip_epsilon: float,
+    active: Bool[Array, "*batch"] | None = None,
 ) -> Float[Array, ""]:
-    """Eq. 5: L(theta) = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)], rho = pi / pi_old."""
+    """Eq. 5: L(theta) = -E[min(rho A, clip(rho, 1 - eps, 1 + eps) A)], rho = pi / pi_old.
+
+    The mean is over all axes, or over the entries that are `active`.
+    """
     ratio = jnp.exp(log_prob - old_log_prob)
     clipped = jnp.clip(ratio, 1.0 - clip_epsilon, 1.0 + clip_epsilon)
-    return -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+    return -masked_mean(jnp.minimum(ratio * advantage, clipped * advantage), active)
 
 
 def value_loss(
@@ -101,6 +124,7 @@ def ppo_loss(
     old_value: Float[Array, "*values"],
     target: Float[Array, "*targets"],
     config: PPOConfig,
+    active: Bool[Array, "*batch"] | None = None,
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 5: L_PPO = L(theta) + lambda_c L(phi).
 
@@ -112,11 +136,13 @@ def ppo_loss(
         old_value: of the critic when acting, in normalized units.
         target: returns in normalized units; the three broadcast against each other.
         config: clip range, value coefficient and Huber threshold.
+        active: what the policy loss is the mean over, if not all. The value loss is of all, as
+            in on-policy's scripts for SMAC: the dead still share the team's return.
 
     Returns:
         The loss, and its parts with the usual diagnostics (means over all axes).
     """
-    actor = policy_loss(log_prob, old_log_prob, advantage, config.clip_epsilon)
+    actor = policy_loss(log_prob, old_log_prob, advantage, config.clip_epsilon, active)
     critic = value_loss(value, old_value, target, config.clip_epsilon, config.huber_delta)
     ratio = jnp.exp(log_prob - old_log_prob)
     metrics = {
