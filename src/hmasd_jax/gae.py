@@ -1,8 +1,15 @@
 """Generalized advantage estimation (Schulman et al., 2016), below Eq. 5."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
+
+from envs_jax import TimeStep
+from hmasd_jax.ppo import PPOConfig, masked_mean
+from hmasd_jax.rollout import following
+from hmasd_jax.value_norm import ValueNorm, denormalize
 
 
 def gae(
@@ -37,9 +44,50 @@ def gae(
     return advantage, advantage + value
 
 
-def normalize_advantage(advantage: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+def rollout_advantage(
+    reward: Float[Array, "T E #N"],
+    value: Float[Array, "T E #N"],
+    last_value: Float[Array, "E #N"],
+    outcome: TimeStep,
+    value_of_outcome: Callable[[], Float[Array, "T E #N"]],
+    norm: ValueNorm,
+    config: PPOConfig,
+) -> tuple[Float[Array, "T E N"], Float[Array, "T E N"]]:
+    """Advantages and targets of every step of a rollout, by `gae`.
+
+    Args:
+        reward: in reward units.
+        value: of what was seen at each step; this and the other values in normalized units.
+        last_value: of what is seen after the last step.
+        outcome: (T, E, ...) what each step led to, before any reset.
+        value_of_outcome: computes the values of `outcome`, needed only with `bootstrap_truncation`.
+        norm: the critic's units.
+        config: discount, lambda, and whether time limits are bootstrapped from.
+    """
+    next_value, terminated = following(value, last_value), outcome.done
+    if config.bootstrap_truncation:
+        next_value = jnp.where(outcome.truncated[..., None], value_of_outcome(), next_value)
+        terminated = outcome.terminated
+    return gae(
+        reward,
+        denormalize(norm, value),
+        denormalize(norm, next_value),
+        terminated[..., None],
+        outcome.done[..., None],
+        config.discount,
+        config.gae_lambda,
+    )
+
+
+def normalize_advantage(
+    advantage: Float[Array, "*batch"], active: Bool[Array, "*batch"] | None = None
+) -> Float[Array, "*batch"]:
     """Shift and scale by mean and population standard deviation over all axes.
 
-    Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs.
+    Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs, and takes
+    both from the agents that are `active`.
     """
-    return (advantage - advantage.mean()) / (advantage.std() + 1e-5)
+    if active is None:
+        return (advantage - advantage.mean()) / (advantage.std() + 1e-5)
+    deviation = advantage - masked_mean(advantage, active)
+    return deviation / (jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5)

@@ -2,9 +2,10 @@
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array, Shaped
 
-from envs_jax import Environment
-from hmasd_jax.types import EnvCarry, Key, Memory, StepFn, Transition
+from envs_jax import Environment, TimeStep
+from hmasd_jax.types import EnvCarry, Key, Memory, Metrics, StepFn, Transition
 
 
 def reset(env: Environment, key: Key, num_envs: int) -> EnvCarry:
@@ -52,3 +53,35 @@ def _step_and_reset(env, carry, action, key):
         where_done, (fresh.env_state, fresh.timestep), (env_state, outcome)
     )
     return EnvCarry(env_state, timestep, outcome.done), outcome
+
+
+def following(
+    x: Shaped[Array, "T *rest"], last: Shaped[Array, "*rest"]
+) -> Shaped[Array, "T *rest"]:
+    """What follows each entry of `x` in time, given what follows the last."""
+    return jnp.concatenate([x[1:], last[None]])
+
+
+def flatten(tree):
+    """Merge the first two axes of all arrays, (T, E, ...) -> (T E, ...): one sample per step."""
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), tree)
+
+
+def cut(tree, length: int):
+    """Cut all arrays into sequences of L = `length`, (T, E, ...) -> (S, L, ...), S = T / L * E."""
+
+    def cut_array(x):
+        x = x.reshape(-1, length, *x.shape[1:]).swapaxes(1, 2)
+        return x.reshape(-1, length, *x.shape[3:])
+
+    return jax.tree.map(cut_array, tree)
+
+
+def episode_metrics(outcome: TimeStep) -> Metrics:
+    """Number of episodes that ended in a rollout (T, E, ...), and sums of their final `info`.
+
+    Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
+    """
+    final = {k: jnp.where(outcome.done, v, 0.0).sum() for k, v in outcome.info.items()}
+    sums = {f"episode_sum/{k}": v for k, v in final.items()}
+    return {"episodes": outcome.done.sum().astype(jnp.float32), **sums}

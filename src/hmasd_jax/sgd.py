@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float
 
+from hmasd_jax import value_norm
 from hmasd_jax.ppo import PPOConfig
 from hmasd_jax.types import Key, Learner, Metrics
+from hmasd_jax.value_norm import ValueNorm
 
 Carry = TypeVar("Carry")
 Batch = TypeVar("Batch")
@@ -87,3 +89,36 @@ def sgd_epochs(
 
     carry, metrics = jax.lax.scan(epoch, carry, jax.random.split(key, num_epochs))
     return carry, jax.tree.map(jnp.mean, metrics)
+
+
+def ppo_epochs(
+    optimizer: optax.GradientTransformation,
+    loss_fn: LossFn,
+    learner: Learner,
+    norm: ValueNorm,
+    batch: Any,
+    key: Key,
+    config: PPOConfig,
+) -> tuple[Learner, ValueNorm, Metrics]:
+    """Epochs of PPO; each step first takes its targets into the value normalizer.
+
+    Args:
+        optimizer: of the learner.
+        loss_fn: `(params, norm, minibatch) -> (loss, metrics)`.
+        learner: actor and critic.
+        norm: of the critic's targets.
+        batch: arrays with samples on their first axis; `target` holds returns in reward units.
+        key: shuffles the samples.
+        config: number of epochs and of minibatches.
+    """
+
+    def step(carry, minibatch):
+        learner, norm = carry
+        norm = value_norm.update(norm, minibatch.target)
+        learner, metrics = gradient_step(learner, optimizer, loss_fn, norm, minibatch)
+        return (learner, norm), metrics
+
+    (learner, norm), metrics = sgd_epochs(
+        step, (learner, norm), batch, key, config.num_epochs, config.num_minibatches
+    )
+    return learner, norm, metrics

@@ -4,12 +4,16 @@ Post-norm, no dropout, no positional embedding. Linear layers that feed a GELU a
 gain sqrt(2); all others have gain 0.01.
 """
 
+from collections.abc import Callable, Sequence
+
+import distrax
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from hmasd_jax.networks import MASKED_LOGIT, RELU_GAIN, LayerNorm, dense
+from hmasd_jax.types import Key
 
 SMALL_GAIN = 0.01
 
@@ -101,3 +105,51 @@ class Head(nn.Module):
         """Outputs per token."""
         x = LayerNorm()(gelu(dense(self.size, RELU_GAIN)(x)))
         return dense(self.num_outputs, SMALL_GAIN)(x)
+
+
+def decoder_inputs(
+    choices: Int[Array, "*batch tokens"], num_choices: int
+) -> Float[Array, "*batch tokens inputs"]:
+    """One-hot choices, shifted by one: the start symbol (index 0), then all but the last."""
+    start = jnp.zeros_like(choices[..., :1])
+    inputs = jnp.concatenate([start, choices[..., :-1] + 1], axis=-1)
+    return jax.nn.one_hot(inputs, num_choices + 1)
+
+
+def draw_in_turn(
+    decode: Callable[[Int[Array, "*batch tokens"]], Float[Array, "*batch tokens choices"]],
+    shape: tuple[int, ...],
+    key: Key,
+    greedy: bool = False,
+    fixed: Sequence[int | None] | None = None,
+) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
+    """Choose for one token after the other, each given the choices before it.
+
+    Args:
+        decode: logits of all tokens; those of token i depend on choices 0..i-1 only.
+        shape: (*batch, tokens).
+        key: of the draws.
+        greedy: whether to take the likeliest choice instead.
+        fixed: choices that are given, per token; None where there is one to make.
+
+    Returns:
+        Choices and their log-probabilities.
+    """
+    if fixed is not None:
+        is_fixed = jnp.array([choice is not None for choice in fixed])
+        fixed_choice = jnp.array([choice or 0 for choice in fixed])
+
+    def draw(choices, inputs):
+        token, key = inputs
+        distribution = distrax.Categorical(logits=jnp.take(decode(choices), token, axis=-2))
+        choice = distribution.mode() if greedy else distribution.sample(seed=key)
+        if fixed is not None:
+            choice = jnp.where(is_fixed[token], fixed_choice[token], choice)
+        return choices.at[..., token].set(choice), distribution.log_prob(choice)
+
+    tokens = shape[-1]
+    # A scan, so that the decoder is compiled once rather than once per token.
+    choices, log_prob = jax.lax.scan(
+        draw, jnp.zeros(shape, int), (jnp.arange(tokens), jax.random.split(key, tokens))
+    )
+    return choices, jnp.moveaxis(log_prob, 0, -1)

@@ -9,11 +9,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
+from hmasd_jax.actor_critic import ActorCriticMemory
 from hmasd_jax.hmasd.batches import find_segments, high_batch, low_batch, skill_pairs
 from hmasd_jax.hmasd.collect import Extras, Rollout, RolloutMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment
-from hmasd_jax.hmasd.discoverer import DiscovererMemory
 from hmasd_jax.ppo import PPOConfig
 from hmasd_jax.types import EnvCarry, Transition
 from hmasd_jax.value_norm import ValueNorm
@@ -82,7 +82,7 @@ def _rollout(
         first=np.concatenate([np.ones((1, 1), bool), done[:-1]]),
         action=np.arange(4)[:, None, None] % 2,
         extras=Extras(
-            low=DiscovererMemory(time[..., None, None], time[..., None]),
+            low=ActorCriticMemory(time[..., None, None], time[..., None]),
             log_prob=-time[..., None],
             value=np.array(low_value, np.float32)[:, None],
             assignment=Assignment(skills, np.zeros((4, 1, 2), np.float32), value),
@@ -98,7 +98,7 @@ def _rollout(
     following = Assignment(
         np.array([[1, 0]]), np.zeros((1, 2), np.float32), np.array([[5, 6]], np.float32)
     )
-    memory = RolloutMemory(DiscovererMemory(np.full((1, 1, 1), 4.0), np.full((1, 1), 4.0)),
+    memory = RolloutMemory(ActorCriticMemory(np.full((1, 1, 1), 4.0), np.full((1, 1), 4.0)),
                            following, np.array([4]))  # fmt: skip
     env = EnvCarry((), seen(np.full(1, 40, np.float32)), done[-1])
     return jax.tree.map(jnp.asarray, Rollout(transitions, env, memory, following))

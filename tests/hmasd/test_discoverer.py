@@ -7,10 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.testing import assert_allclose
 
+from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.discoverer import (
-    Discoverer,
-    DiscovererMemory,
     LowBatch,
     action_distribution,
     discoverer_loss,
@@ -25,7 +24,7 @@ UNIT = ValueNorm(*jnp.array([0.0, 1.0, 1.0]))  # mean 0, deviation 1
 def _batch(**fields):
     """One sequence of one step of two agents with two actions."""
     batch = LowBatch(
-        memory=DiscovererMemory(jnp.zeros((1, 2, 4)), jnp.zeros((1, 4))),
+        memory=ActorCriticMemory(jnp.zeros((1, 2, 4)), jnp.zeros((1, 4))),
         first=jnp.zeros((1, 1), bool),
         obs=jnp.zeros((1, 1, 2, 1)),
         state=jnp.zeros((1, 1, 1)),
@@ -51,7 +50,7 @@ def _networks(probability, value, seen=None):
 
         return SimpleNamespace(apply=apply)
 
-    return Discoverer(answer("actor", np.log(probability)), answer("critic", value))
+    return ActorCritic(answer("actor", np.log(probability)), answer("critic", value))
 
 
 def test_eq_7_by_hand():
@@ -105,7 +104,7 @@ def test_sequences_run_along_time_whatever_the_number_of_samples():
         _batch()._replace(memory=None),
     )._replace(
         obs=np.broadcast_to(obs, (samples, length, 2, 1)),
-        memory=DiscovererMemory(np.zeros((samples, 2, 4)), np.zeros((samples, 4))),
+        memory=ActorCriticMemory(np.zeros((samples, 2, 4)), np.zeros((samples, 4))),
     )
     probability = np.full((length, samples, 2, 2), 0.5)
     networks = _networks(probability, np.zeros((length, samples, 1)), seen)

@@ -1,7 +1,7 @@
 """HMASD: Algorithm 1 of the paper as one pure `update`."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -9,10 +9,8 @@ from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax import rollout as rollouts
-from hmasd_jax import value_norm
-from hmasd_jax.hmasd.batches import flatten, high_batch, low_batch, skill_pairs
+from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
 from hmasd_jax.hmasd.collect import (
-    Rollout,
     RolloutMemory,
     collect,
     init_rollout_memory,
@@ -29,7 +27,7 @@ from hmasd_jax.hmasd.discriminators import (
 from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
-from hmasd_jax.sgd import gradient_step, sgd_epochs
+from hmasd_jax.sgd import gradient_step, ppo_epochs, sgd_epochs
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 from hmasd_jax.value_norm import ValueNorm
 
@@ -115,7 +113,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
     metrics = {
-        **episode_metrics(rollout),
+        **rollouts.episode_metrics(rollout.transitions.outcome),
         "team_reward": team_reward.mean(),
         "low_reward": reward.mean(),
         **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
@@ -148,9 +146,13 @@ def train_coordinator(
     parts: Parts, state: HMASDState, batch: HighBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Epochs of Eq. 6."""
-    return _train_actor_critic(
-        parts.coordinator_optimizer, coordinator_loss, parts.coordinator,
-        state.coordinator, state.coordinator_norm, batch, parts.config, key,
+
+    def loss_fn(params, norm, batch):
+        return coordinator_loss(params, parts.coordinator, norm, batch, parts.config)
+
+    return ppo_epochs(
+        parts.coordinator_optimizer, loss_fn, state.coordinator, state.coordinator_norm,
+        batch, key, parts.config.ppo,
     )  # fmt: skip
 
 
@@ -158,10 +160,14 @@ def train_discoverer(
     parts: Parts, state: HMASDState, batch: LowBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Epochs of Eq. 7."""
-    return _train_actor_critic(
-        parts.discoverer_optimizer, discoverer_loss, parts.discoverer,
-        state.discoverer, state.discoverer_norm, batch, parts.config, key,
-        low_entropy_coef(parts.config, state.num_updates),
+    entropy_coef = low_entropy_coef(parts.config, state.num_updates)
+
+    def loss_fn(params, norm, batch):
+        return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)
+
+    return ppo_epochs(
+        parts.discoverer_optimizer, loss_fn, state.discoverer, state.discoverer_norm,
+        batch, key, parts.config.ppo,
     )  # fmt: skip
 
 
@@ -176,36 +182,4 @@ def train_discriminators(
         )
 
     epochs = parts.config.discriminator_epochs
-    return sgd_epochs(step, state.discriminators, flatten(pairs), key, epochs, 1)
-
-
-def _train_actor_critic(
-    optimizer, loss_fn, networks, learner: Learner, norm: ValueNorm, batch: Any,
-    config: HMASDConfig, key: Key, *coefs: float | Array,
-) -> tuple[Learner, ValueNorm, Metrics]:  # fmt: skip
-    """Epochs of PPO; each step first takes its targets into the value normalizer."""
-
-    def step(carry, minibatch):
-        learner, norm = carry
-        norm = value_norm.update(norm, minibatch.target)
-        learner, metrics = gradient_step(
-            learner, optimizer, loss_fn, networks, norm, minibatch, config, *coefs
-        )
-        return (learner, norm), metrics
-
-    ppo = config.ppo
-    (learner, norm), metrics = sgd_epochs(
-        step, (learner, norm), batch, key, ppo.num_epochs, ppo.num_minibatches
-    )
-    return learner, norm, metrics
-
-
-def episode_metrics(rollout: Rollout) -> Metrics:
-    """Number of episodes that ended in the rollout, and sums of their final `info`.
-
-    Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
-    """
-    outcome = rollout.transitions.outcome
-    final = {k: jnp.where(outcome.done, v, 0.0).sum() for k, v in outcome.info.items()}
-    sums = {f"episode_sum/{k}": v for k, v in final.items()}
-    return {"episodes": outcome.done.sum().astype(jnp.float32), **sums}
+    return sgd_epochs(step, state.discriminators, rollouts.flatten(pairs), key, epochs, 1)

@@ -6,14 +6,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hmasd_jax.gae import gae, normalize_advantage
+from hmasd_jax.actor_critic import ActorCriticMemory
+from hmasd_jax.gae import gae, normalize_advantage, rollout_advantage
 from hmasd_jax.hmasd.collect import Rollout
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
-from hmasd_jax.hmasd.discoverer import DiscovererMemory, LowBatch, state_value
+from hmasd_jax.hmasd.discoverer import LowBatch, state_value
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.networks import apply
+from hmasd_jax.rollout import cut, flatten, following
 from hmasd_jax.types import Key
 from hmasd_jax.value_norm import ValueNorm, denormalize
 
@@ -35,34 +37,24 @@ class Segments(NamedTuple):
     begins: Bool[Array, "T E"]
 
 
-def flatten(tree):
-    """Merge the first two axes, (T, E, ...) -> (T E, ...)."""
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), tree)
-
-
-def _and_after(x: Array, last: Array) -> Array:
-    """What follows each entry of `x` on the first axis, given what follows the last."""
-    return jnp.concatenate([x[1:], last[None]])
-
-
 def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
     """D of Algorithm 1: (s_{t+1}, Z, o_{t+1}, z^{1:n}) of every step, (T, E, ...)."""
     transitions, last = rollout.transitions, rollout.env.timestep
     skills = transitions.extras.assignment.skills
     if parts.config.discriminate == "outcome":
         return SkillPair(transitions.outcome.state, transitions.outcome.obs, skills)
-    state = _and_after(transitions.timestep.state, last.state)
-    return SkillPair(state, _and_after(transitions.timestep.obs, last.obs), skills)
+    state = following(transitions.timestep.state, last.state)
+    return SkillPair(state, following(transitions.timestep.obs, last.obs), skills)
 
 
 def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
     """Cut the rollout where skills were renewed; its end cuts the last segment, too."""
     transitions = rollout.transitions
     outcome, extras = transitions.outcome, transitions.extras
-    last = _and_after(extras.renewed, jnp.ones_like(extras.renewed[0]))
+    last = following(extras.renewed, jnp.ones_like(extras.renewed[0]))
     steps = jnp.where(last, jnp.arange(len(last))[:, None], len(last))
     end = jax.lax.cummin(steps, reverse=True)  # of the segment each step belongs to
-    next_value = _and_after(extras.assignment.value, rollout.next_assignment.value)
+    next_value = following(extras.assignment.value, rollout.next_assignment.value)
     terminated = outcome.done
     if parts.config.ppo.bootstrap_truncation:
         _, value = apply(parts.coordinator, params, outcome.state, outcome.obs, method="encode")
@@ -148,25 +140,17 @@ def low_batch(
         parts, params, rollout.memory.low.critic, rollout.env.timestep.state,
         rollout.next_assignment.team_skill, rollout.env.first,
     )  # fmt: skip
-    next_value = _and_after(extras.value, last_value)
-    terminated = outcome.done
-    if ppo.bootstrap_truncation:
-        memory = _and_after(extras.low.critic, rollout.memory.low.critic)
+
+    def value_of_outcome():
+        memory = following(extras.low.critic, rollout.memory.low.critic)
         never = jnp.zeros_like(outcome.done)
-        value = _critic(parts, params, memory, outcome.state, skills[..., 0], never)
-        next_value = jnp.where(outcome.truncated, value, next_value)
-        terminated = outcome.terminated
-    advantage, target = gae(
-        reward,
-        denormalize(norm, extras.value)[..., None],
-        denormalize(norm, next_value)[..., None],
-        terminated[..., None],
-        outcome.done[..., None],
-        ppo.discount,
-        ppo.gae_lambda,
+        return _critic(parts, params, memory, outcome.state, skills[..., 0], never)[..., None]
+
+    advantage, target = rollout_advantage(
+        reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
     begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.low)
-    memory = DiscovererMemory(*flatten(tuple(begin)))
+    memory = ActorCriticMemory(*flatten(tuple(begin)))
     steps = {
         "first": transitions.first,
         "obs": transitions.timestep.obs,
@@ -179,13 +163,7 @@ def low_batch(
         "advantage": normalize_advantage(advantage),
         "target": target,
     }
-    return LowBatch(memory, **{name: _cut(x, ppo.sequence_length) for name, x in steps.items()})
-
-
-def _cut(x: Array, length: int) -> Array:
-    """(T, E, ...) -> (T / L, L, E, ...) -> (S, L, ...) with S = T / L * E."""
-    x = x.reshape(-1, length, *x.shape[1:]).swapaxes(1, 2)
-    return x.reshape(-1, length, *x.shape[3:])
+    return LowBatch(memory, **cut(steps, ppo.sequence_length))
 
 
 def _critic(parts, params, memory, state, team_skill, first):

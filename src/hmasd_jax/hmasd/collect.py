@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
+from hmasd_jax.actor_critic import ActorCriticMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import (
-    DiscovererMemory,
     action_distribution,
     init_memory,
     state_value,
@@ -25,7 +25,7 @@ from hmasd_jax.types import EnvCarry, Key, StepFn, Transition
 class RolloutMemory(NamedTuple):
     """What the copies carry from step to step, and from rollout to rollout."""
 
-    low: DiscovererMemory
+    low: ActorCriticMemory
     assignment: Assignment
     """In use now, with log-probability and value from when it was drawn."""
     clock: Int[Array, " E"]
@@ -35,7 +35,7 @@ class RolloutMemory(NamedTuple):
 class Extras(NamedTuple):
     """What the updates need to know about a step."""
 
-    low: DiscovererMemory
+    low: ActorCriticMemory
     """Memories before the step."""
     log_prob: Float[Array, "*T E N"]
     value: Float[Array, "*T E"]
@@ -133,7 +133,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
         action = distribution.sample(seed=key_act)
         log_prob = jnp.asarray(distribution.log_prob(action))
         extras = Extras(memory.low, log_prob, value[0], assignment, renewed)
-        memory = RolloutMemory(DiscovererMemory(actor, critic), assignment, clock + 1)
+        memory = RolloutMemory(ActorCriticMemory(actor, critic), assignment, clock + 1)
         return memory, action, extras
 
     return step_fn

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import distrax
-import jax
 import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
@@ -16,7 +15,14 @@ from jaxtyping import Array, Bool, Float, Int
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks import RELU_GAIN, LayerNorm, apply, dense, mask_logits
 from hmasd_jax.ppo import ppo_loss
-from hmasd_jax.transformer import DecoderBlock, EncoderBlock, Head, gelu
+from hmasd_jax.transformer import (
+    DecoderBlock,
+    EncoderBlock,
+    Head,
+    decoder_inputs,
+    draw_in_turn,
+    gelu,
+)
 from hmasd_jax.types import Key, Metrics
 from hmasd_jax.value_norm import ValueNorm, normalize
 
@@ -104,10 +110,7 @@ class Coordinator(nn.Module):
         self, encoded: Float[Array, "*batch tokens size"], skills: Int[Array, "*batch tokens"]
     ) -> Float[Array, "*batch tokens skills"]:
         """Logits of token i given skills 0..i-1; later entries of `skills` have no effect."""
-        # Inputs are shifted by one: (start symbol, Z, z^1, .., z^{N-1}); index 0 is the start.
-        start = jnp.zeros_like(skills[..., :1])
-        inputs = jnp.concatenate([start, skills[..., :-1] + 1], axis=-1)
-        inputs = jax.nn.one_hot(inputs, self.max_skills + 1)
+        inputs = decoder_inputs(skills, self.max_skills)
         embedded = [self.embed_team_skill(inputs[..., :2, :]), self.embed_skill(inputs[..., 2:, :])]
         x = self.decoder_norm(gelu(jnp.concatenate(embedded, axis=-2)))
         for block in self.decoder_blocks:
@@ -144,27 +147,13 @@ def assign(
     Tokens with a skill in `fixed` (tokens,) get that one; the others are drawn given it.
     """
     encoded, value = apply(network, params, state, obs, method="encode")
-    blank = jnp.zeros(value.shape, int)
-    if fixed is not None:
-        is_fixed = jnp.array([skill is not None for skill in fixed])
-        fixed_skill = jnp.array([skill or 0 for skill in fixed])
 
-    def draw(skills, inputs):
-        token, key = inputs
-        logits = apply(network, params, encoded, skills, method="decode")
-        distribution = distrax.Categorical(logits=jnp.take(logits, token, axis=-2))
-        skill = distribution.mode() if greedy else distribution.sample(seed=key)
-        if fixed is not None:
-            skill = jnp.where(is_fixed[token], fixed_skill[token], skill)
-        # Illegal skills have probability 0, so the drawn index is legal at its token.
-        return skills.at[..., token].set(skill), distribution.log_prob(skill)
+    def decode(skills):
+        return apply(network, params, encoded, skills, method="decode")
 
-    tokens = value.shape[-1]
-    # A scan, so that the decoder is compiled once rather than once per token.
-    skills, log_prob = jax.lax.scan(
-        draw, blank, (jnp.arange(tokens), jax.random.split(key, tokens))
-    )
-    return Assignment(skills, jnp.moveaxis(log_prob, 0, -1), value)
+    # Illegal skills have probability 0, so each draw is legal at its token.
+    skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, fixed)
+    return Assignment(skills, log_prob, value)
 
 
 def coordinator_loss(

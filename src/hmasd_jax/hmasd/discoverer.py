@@ -5,35 +5,24 @@ from typing import NamedTuple
 import distrax
 import jax
 import jax.numpy as jnp
+from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
+from hmasd_jax import actor_critic
+from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RecurrentNet, apply, mask_logits
+from hmasd_jax.networks import RecurrentNet
 from hmasd_jax.ppo import ppo_loss
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Metrics
 from hmasd_jax.value_norm import ValueNorm, normalize
 
 
-class Discoverer(NamedTuple):
-    """The two networks; parameters are a dict with the same names."""
-
-    actor: RecurrentNet
-    critic: RecurrentNet
-
-
-class DiscovererMemory(NamedTuple):
-    """Recurrent memories: the actor's per agent, the critic's per environment copy."""
-
-    actor: Float[Array, "*batch N hidden"]
-    critic: Float[Array, "*batch hidden"]
-
-
 class LowBatch(NamedTuple):
     """Sequences of L consecutive steps of one environment copy, sample axis first."""
 
-    memory: DiscovererMemory
+    memory: ActorCriticMemory
     """Memory before the first step, as it was when acting: (S, ...) without L."""
     first: Bool[Array, "S L"]
     obs: Float[Array, "S L N obs"]
@@ -49,24 +38,24 @@ class LowBatch(NamedTuple):
     """Returns in reward units."""
 
 
-def make_discoverer(env: Environment, config: HMASDConfig) -> Discoverer:
+def make_discoverer(env: Environment, config: HMASDConfig) -> ActorCritic:
     """Actor and critic for `env`; they share nothing."""
     size = config.ppo.hidden_size
-    return Discoverer(
+    return ActorCritic(
         actor=RecurrentNet(env.num_actions, size, SMALL_GAIN, config.skill_at),
         critic=RecurrentNet(1, size, 1.0, config.skill_at),
     )
 
 
-def init_memory(batch_shape: tuple[int, ...], num_agents: int, size: int) -> DiscovererMemory:
+def init_memory(batch_shape: tuple[int, ...], num_agents: int, size: int) -> ActorCriticMemory:
     """Memory before the first step."""
-    return DiscovererMemory(
+    return ActorCriticMemory(
         jnp.zeros((*batch_shape, num_agents, size)), jnp.zeros((*batch_shape, size))
     )
 
 
 def action_distribution(
-    network: RecurrentNet,
+    network: nn.Module,
     params: dict,
     memory: Float[Array, "*batch N hidden"],
     obs: Float[Array, "time *batch N obs"],
@@ -76,14 +65,14 @@ def action_distribution(
     num_skills: int,
 ) -> tuple[Float[Array, "*batch N hidden"], distrax.Categorical]:
     """pi_l(a^i|o^i, z^i) at every step; an agent sees its own skill, not the team's."""
-    first = jnp.broadcast_to(first[..., None], skills.shape)
-    skills = jax.nn.one_hot(skills, num_skills)
-    memory, logits = apply(network, params, memory, obs, first, skills)
-    return memory, distrax.Categorical(logits=mask_logits(logits, action_mask))
+    condition = jax.nn.one_hot(skills, num_skills)
+    return actor_critic.action_distribution(
+        network, params, memory, obs, action_mask, first, condition
+    )
 
 
 def state_value(
-    network: RecurrentNet,
+    network: nn.Module,
     params: dict,
     memory: Float[Array, "*batch hidden"],
     state: Float[Array, "time *batch state"],
@@ -92,14 +81,13 @@ def state_value(
     num_team_skills: int,
 ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch"]]:
     """V_l(s, Z) in normalized units, once per copy: its inputs are the same for all agents."""
-    team_skill = jax.nn.one_hot(team_skill, num_team_skills)
-    memory, value = apply(network, params, memory, state, first, team_skill)
-    return memory, value[..., 0]
+    condition = jax.nn.one_hot(team_skill, num_team_skills)
+    return actor_critic.state_value(network, params, memory, state, first, condition)
 
 
 def discoverer_loss(
     params: dict,
-    networks: Discoverer,
+    networks: ActorCritic,
     norm: ValueNorm,
     batch: LowBatch,
     config: HMASDConfig,

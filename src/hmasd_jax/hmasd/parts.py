@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import optax
 
 from envs_jax import Environment
+from hmasd_jax.actor_critic import ActorCritic
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator, make_coordinator
-from hmasd_jax.hmasd.discoverer import Discoverer, init_memory, make_discoverer
+from hmasd_jax.hmasd.discoverer import init_memory, make_discoverer
 from hmasd_jax.hmasd.discriminators import Discriminators, make_discriminators
 from hmasd_jax.sgd import make_optimizer
 from hmasd_jax.types import Key, Learner
@@ -22,7 +23,7 @@ class Parts:
     env: Environment
     config: HMASDConfig
     coordinator: Coordinator
-    discoverer: Discoverer
+    discoverer: ActorCritic
     discriminators: Discriminators
     coordinator_optimizer: optax.GradientTransformation
     discoverer_optimizer: optax.GradientTransformation
@@ -39,7 +40,7 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
         discoverer=make_discoverer(env, config),
         discriminators=make_discriminators(config),
         coordinator_optimizer=make_optimizer(ppo, ["params"]),
-        discoverer_optimizer=make_optimizer(ppo, Discoverer._fields),
+        discoverer_optimizer=make_optimizer(ppo, ActorCritic._fields),
         discriminator_optimizer=make_optimizer(
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
