@@ -131,6 +131,26 @@ class RecurrentNet(nn.Module):
         return memory.reshape(*steps[1:], size), outputs.reshape(*steps, -1)
 
 
+class FeedForwardNet(nn.Module):
+    """MLP and linear head, called as `RecurrentNet` is: on-policy's `mappo` without a memory."""
+
+    num_outputs: int
+    hidden_size: int
+    gain: float
+
+    @nn.compact
+    def __call__(
+        self,
+        memory: Float[Array, "*batch hidden"],
+        x: Float[Array, "time *batch inputs"],
+        first: Bool[Array, "time *batch"],
+        condition: None = None,
+    ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
+        """Return the memory as it is and the outputs of every step."""
+        del first, condition
+        return memory, dense(self.num_outputs, self.gain, name="head")(MLP(self.hidden_size)(x))
+
+
 def apply(network: nn.Module, params: dict, *inputs: Any, method: str | None = None) -> Any:
     """`network.apply` typed as what the network returns, rather than as all flax may return."""
     return network.apply(params, *inputs, method=method)
