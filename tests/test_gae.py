@@ -1,12 +1,15 @@
 """Generalized advantage estimation against hand arithmetic and its two limits."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax import value_norm
-from hmasd_jax.gae import gae, normalize_advantage
+from hmasd_jax.gae import gae, normalize_advantage, rollout_advantage
+from hmasd_jax.ppo import PPOConfig
 from hmasd_jax.value_norm import ValueNorm
 
 
@@ -133,3 +136,47 @@ def test_constant_advantages_become_zero_rather_than_nan():
 def test_the_floor_of_the_deviation_is_1e_5():
     # Deviations of +-1e-5 are divided by 1e-5 + 1e-5, so they come out as +-0.5.
     assert_allclose(normalize_advantage(jnp.array([-1e-5, 1e-5])), [-0.5, 0.5], rtol=1e-5)
+
+
+def test_normalization_takes_mean_and_deviation_from_active_agents_only():
+    # Active: 1 and 5, mean 3, deviation 2. The others are shifted and scaled alike: (9 - 3) / 2.
+    result = normalize_advantage(jnp.array([1.0, 9.0, 5.0]), jnp.array([True, False, True]))
+    assert_allclose(result, [-1.0, 3.0, 1.0], rtol=1e-4)
+    assert_allclose(
+        normalize_advantage(jnp.array([1.0, 2.0]), jnp.ones(2, bool)), [-1, 1], rtol=1e-4
+    )
+    assert np.isfinite(normalize_advantage(jnp.ones(2), jnp.zeros(2, bool))).all()
+
+
+@pytest.mark.parametrize(("bootstrap", "targets"), [(False, [2.0, 2.0]), (True, [5.5, 6.0])])
+def test_a_rollouts_targets_end_or_bootstrap_at_a_time_limit(bootstrap, targets):
+    # One copy, two steps of reward 2, each cut by the time limit; lambda = 0, gamma = 0.5.
+    # What was cut off is worth 7 and 8; what comes next, in new episodes, must not count.
+    outcome = SimpleNamespace(
+        done=jnp.ones((2, 1), bool),
+        truncated=jnp.ones((2, 1), bool),
+        terminated=jnp.zeros((2, 1), bool),
+    )
+    one = value_norm.ValueNorm(jnp.float32(0), jnp.float32(1), jnp.float32(1))  # deviation 1
+    _, target = rollout_advantage(
+        jnp.full((2, 1, 1), 2.0),
+        jnp.full((2, 1, 1), 100.0),
+        jnp.full((1, 1), 100.0),
+        outcome,
+        lambda: jnp.array([7.0, 8.0]).reshape(2, 1, 1),
+        one,
+        PPOConfig(discount=0.5, gae_lambda=0.0, bootstrap_truncation=bootstrap),
+    )
+    assert_allclose(target[:, 0, 0], targets, rtol=1e-6)
+
+
+def test_a_rollouts_last_step_is_bootstrapped_from_what_follows_it():
+    no = jnp.zeros((2, 1), bool)
+    outcome = SimpleNamespace(done=no, truncated=no, terminated=no)
+    two = value_norm.ValueNorm(jnp.float32(0), jnp.float32(4), jnp.float32(1))  # deviation 2
+    _, target = rollout_advantage(
+        jnp.zeros((2, 1, 1)), jnp.array([1.0, 3.0]).reshape(2, 1, 1), jnp.full((1, 1), 5.0),
+        outcome, lambda: None, two, PPOConfig(discount=0.5, gae_lambda=0.0),
+    )  # fmt: skip
+    # 0.5 * 2 * 3 and 0.5 * 2 * 5
+    assert_allclose(target[:, 0, 0], [3.0, 5.0], rtol=1e-6)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.ppo import PPOConfig, policy_loss, ppo_loss, value_loss
+from hmasd_jax.ppo import PPOConfig, has_choice, masked_mean, policy_loss, ppo_loss, value_loss
 
 
 @pytest.mark.parametrize(
@@ -98,6 +98,32 @@ def test_impossible_actions_leave_the_gradient_finite():
         lambda x: policy_loss(x, jnp.array([-1.0, -30.0]), jnp.array([1.0, -1.0]), 0.2)
     )(jnp.array([-80.0, -1.0]))
     assert np.isfinite(gradient).all()
+
+
+def test_agents_without_a_choice_are_left_out_of_the_policys_mean_only():
+    # Agent 0 may do either of two things, agent 1 is dead: nothing but action 0.
+    active = has_choice(jnp.array([[[True, False, True], [True, False, False]]]))
+    np.testing.assert_array_equal(active, [[True, False]])
+    loss, metrics = ppo_loss(
+        jnp.log(jnp.array([[1.1, 1.0]])),
+        jnp.zeros((1, 2)),
+        jnp.array([[2.0, 9.0]]),
+        value=jnp.zeros((1, 2)),
+        old_value=jnp.zeros((1, 2)),
+        target=jnp.array([[1.0, 3.0]]),
+        config=PPOConfig(),
+        active=active,
+    )
+    # Policy: -1.1 * 2. Value, of both: (1/2 + 9/2) / 2 = 2.5.
+    assert_allclose(metrics["policy_loss"], -2.2, rtol=1e-6)
+    assert_allclose(loss, 0.3, rtol=1e-5)
+
+
+def test_a_mean_over_nothing_is_0():
+    x = jnp.array([1.0, 5.0, 3.0])
+    assert masked_mean(x) == 3
+    assert masked_mean(x, jnp.array([True, False, True])) == 2
+    assert masked_mean(x, jnp.zeros(3, bool)) == 0
 
 
 def test_defaults_are_table_1():

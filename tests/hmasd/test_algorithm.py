@@ -1,6 +1,8 @@
 """The whole update: exact replay, purity, one trace, no key used twice."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +15,8 @@ from hmasd_jax.hmasd.batches import high_batch, low_batch
 from hmasd_jax.hmasd.collect import collect
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "hmasd"
 
 
 def _low_ratio_error(parts, trained, rollout):
@@ -121,6 +125,17 @@ def test_the_update_itself_reports_ratios_of_1_with_one_epoch(algorithm, trained
     _, metrics = algorithm.update(trained)
     assert metrics["discoverer/ratio_error"] < 1e-5
     assert metrics["coordinator/ratio_error"] < 1e-5
+
+
+def test_three_updates_give_the_numbers_recorded(algorithm):
+    # Recorded before its parts were shared with other algorithms, see golden/README.md.
+    state = algorithm.init(jax.random.key(0))
+    for _ in range(3):
+        state, metrics = algorithm.update(state)
+    recorded = json.loads((GOLDEN / "metrics.json").read_text())
+    assert metrics.keys() == recorded.keys()
+    for name, number in recorded.items():
+        assert_allclose(metrics[name], number, rtol=1e-3, atol=2e-5, err_msg=name)
 
 
 def test_update_is_deterministic_and_moves_everything_that_learns(algorithm, trained):
