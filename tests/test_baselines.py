@@ -130,6 +130,23 @@ def test_metrics_are_finite_scalars_named_as_those_of_hmasd(trained):
     assert trained.metrics["episodes"] > 0
 
 
+@pytest.mark.parametrize(
+    ("make", "config"), [(make_mappo, MAPPOConfig(ppo=PPO)), (make_mat, MATConfig(ppo=PPO))]
+)
+def test_no_key_is_used_twice(make, config):
+    algorithm = make(ENV, config)
+
+    def init_update_act(key):
+        key_init, key_act = jax.random.split(key)
+        state, _ = algorithm.update(algorithm.init(key_init))
+        policy = algorithm.policy(state, greedy=False)
+        memory = policy.init((PPO.num_envs,))
+        return policy.step(memory, state.env.timestep, state.env.first, key_act)
+
+    with jax.debug_key_reuse(True):
+        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
+
+
 SMALL = PPOConfig(
     num_envs=32, rollout_length=10, sequence_length=5, hidden_size=16, num_epochs=5,
     learning_rate=5e-3, discount=0.5,
