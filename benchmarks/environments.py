@@ -21,14 +21,11 @@ def random_play(
 ) -> tuple[Callable[[], Any], float, int]:
     """A call that unrolls random play, seconds to compile it, and environment steps per call."""
 
-    def random_actions(memory, timestep, first, key):
-        # One number per agent: the action with this many legal ones before it.
-        legal = timestep.action_mask.cumsum(-1)
-        before = jnp.floor(jax.random.uniform(key, legal.shape[:-1]) * legal[..., -1])
-        return memory, (legal <= before[..., None]).sum(-1), None
+    def act(memory, timestep, first, key):
+        return memory, envs_jax.random_actions(key, timestep.action_mask), None
 
     def step(carry, key):
-        carry, _, transitions = rollout.unroll(env, random_actions, carry, (), key, 1)
+        carry, _, transitions = rollout.unroll(env, act, carry, (), key, 1)
         outcome = transitions.outcome  # sums, so that everything is computed but not kept
         return carry, jax.tree.map(jnp.sum, (outcome.obs, outcome.state, outcome.reward))
 

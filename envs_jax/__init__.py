@@ -2,6 +2,7 @@
 
 from envs_jax.adapters import MissingPackageError, from_jaxmarl, to_jaxmarl, to_pettingzoo
 from envs_jax.check import EnvironmentCheckError, check_environment
+from envs_jax.random_play import random_actions
 from envs_jax.registry import make, names, register
 from envs_jax.types import Environment, EnvState, TimeStep
 
@@ -15,6 +16,7 @@ __all__ = [
     "from_jaxmarl",
     "make",
     "names",
+    "random_actions",
     "register",
     "to_jaxmarl",
     "to_pettingzoo",

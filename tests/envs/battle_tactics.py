@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
+from envs_jax import random_actions
 from envs_jax.battle_views import DIRECTIONS, FIRST_ATTACK, FIRST_MOVE, STOP
 from envs_jax.micro_battle import MicroBattle
 
@@ -49,7 +50,7 @@ def look(env: MicroBattle, start, env_state, mask) -> Scene:
 
 
 def random(scene, memory, key):
-    return jax.random.categorical(key, jnp.where(scene.mask, 0.0, -jnp.inf)), memory
+    return random_actions(key, scene.mask), memory
 
 
 def attack_else_random(scene, memory, key):

@@ -56,7 +56,7 @@ def _play_both(env):
         def step(carry, key):
             env_state, timestep = carry
             key_step, key_action = jax.random.split(key)
-            action = jax.random.categorical(key_action, jnp.log(timestep.action_mask))
+            action = envs_jax.random_actions(key_action, timestep.action_mask)
             env_state, timestep = env.step(key_step, env_state, action)
             return (env_state, timestep), (action, timestep)
 
@@ -225,7 +225,7 @@ def rollout(env, keys):
     def step(carry, key):
         env_state, timestep = carry
         key_step, key_action = jax.random.split(key)
-        action = jax.random.categorical(key_action, jnp.log(timestep.action_mask))
+        action = envs_jax.random_actions(key_action, timestep.action_mask)
         env_state, timestep = env.step(key_step, env_state, action)
         return (env_state, timestep), timestep
 

@@ -12,7 +12,7 @@ NUM_EPISODES = 2000
 
 
 def random_action(key, state, timestep):
-    return jax.random.categorical(key, jnp.log(timestep.action_mask))
+    return envs_jax.random_actions(key, timestep.action_mask)
 
 
 def own_index(key, state, timestep):
