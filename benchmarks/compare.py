@@ -88,15 +88,8 @@ def bench_environments(pair: tuple, copies: int, env_steps: int, repeats: int) -
 
 
 def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> Contender:
-    import jaxmarl
-    from jaxmarl.environments.overcooked import overcooked_layouts
-    from jaxmarl.environments.smax import map_name_to_scenario
-
-    if "scenario" in options:
-        options = {"scenario": map_name_to_scenario(options["scenario"])}
-    else:
-        options = {"layout": overcooked_layouts[options["layout"]]}
-    env = jaxmarl.make(name, **options)
+    words = ", ".join(f"{option}={value}" for option, value in options.items())
+    env = envs_jax.make("jaxmarl", id=name, options=words).source
     spaces = [env.action_space(agent) for agent in env.agents]
 
     def one_step(key, state):
