@@ -10,13 +10,14 @@ are the same).
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from envs_jax.choices import check_choice
 from envs_jax.types import TimeStep
 
 Observation = Literal["codes", "one_hot"]
@@ -85,10 +86,7 @@ class AliceAndBob:
     def __post_init__(self) -> None:
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
-        if self.observation not in get_args(Observation):
-            raise ValueError(
-                f"observation must be one of {get_args(Observation)}, got {self.observation!r}"
-            )
+        check_choice("observation", self.observation, Observation)
 
     @property
     def obs_dim(self) -> int:

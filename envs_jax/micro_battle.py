@@ -9,7 +9,7 @@ modelled and what is not: docs/micro_battle.md.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -17,13 +17,12 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.battle_physics import LONG_AGO, NOBODY, Orders, Units, length, tick
+from envs_jax.battle_physics import LONG_AGO, NOBODY, Orders, Units, tick
 from envs_jax.battle_render import ALLIES, draw
 from envs_jax.battle_roster import column, make_roster
-from envs_jax.battle_scenarios import JITTER, SCENARIOS, Scenario, is_floor
+from envs_jax.battle_scenarios import JITTER, SCENARIOS, Scenario
 from envs_jax.battle_units import Balance
 from envs_jax.battle_views import (
-    ATTACK_RANGE,
     DIRECTIONS,
     FIRST_ATTACK,
     FIRST_MOVE,
@@ -32,6 +31,7 @@ from envs_jax.battle_views import (
     observe,
     sizes,
 )
+from envs_jax.choices import check_choice
 from envs_jax.types import TimeStep
 
 TICKS_PER_STEP = 8
@@ -78,11 +78,8 @@ class MicroBattle:
             raise ValueError(
                 f"scenario {self.scenario!r} is unknown; choose from {known}, or give a Scenario"
             )
-        for name, known in (("balance", Balance), ("observation", Observation)):
-            if getattr(self, name) not in get_args(known):
-                raise ValueError(
-                    f"{name} must be one of {get_args(known)}, got {getattr(self, name)!r}"
-                )
+        check_choice("balance", self.balance, Balance)
+        check_choice("observation", self.observation, Observation)
         if self.time_limit is not None and self.time_limit < 1:
             raise ValueError(f"time_limit must be at least 1 or None, got {self.time_limit}")
 
@@ -179,7 +176,7 @@ class MicroBattle:
         """`step` with one random number per unit, copies last."""
         scenario = self.layout
         roster = make_roster(scenario, self.balance, luck.ndim - 1)
-        orders = self._read_orders(state.units, action)
+        orders = self._read_orders(action_mask(scenario, state.units), action)
         goal = state.goal if scenario.goals else None
 
         def advance(units: Units, now: Array) -> tuple[Units, None]:
@@ -195,21 +192,18 @@ class MicroBattle:
         after = MicroBattleState(units, state.goal, action.astype(jnp.int32), state.time + 1)
         return after, self._timestep(after, self._won(state.units))
 
-    def _read_orders(self, units: Units, action: Int[Array, "agents *copies"]) -> Orders:
+    def _read_orders(
+        self, mask: Bool[Array, "agents actions *copies"], action: Int[Array, "agents *copies"]
+    ) -> Orders:
         """What actions ask of their units, if it is legal."""
-        agents = self.num_agents
-        x, y = units.x[:agents], units.y[:agents]
-        toward_x = toward_y = jnp.zeros_like(x)
-        for index, (dx, dy) in enumerate(DIRECTIONS):
-            legal = (action == FIRST_MOVE + index) & is_floor(self.layout.floor, x + dx, y + dy)
-            toward_x = jnp.where(legal, dx, toward_x)
-            toward_y = jnp.where(legal, dy, toward_y)
+        ordered = [(action == index) & mask[:, index] for index in range(self.num_actions)]
+        toward_x = toward_y = jnp.zeros(action.shape)
+        for (dx, dy), moves in zip(DIRECTIONS, ordered[FIRST_MOVE:FIRST_ATTACK], strict=True):
+            toward_x, toward_y = jnp.where(moves, dx, toward_x), jnp.where(moves, dy, toward_y)
         target = jnp.full(action.shape, NOBODY, jnp.int32)
-        for index in range(agents, len(units.x)):
-            near = length(units.x[index] - x, units.y[index] - y) <= ATTACK_RANGE
-            legal = (action == FIRST_ATTACK + index - agents) & near
-            target = jnp.where(legal, index, target)
-        enemies = jnp.zeros_like(units.x[agents:])
+        for enemy, attacks in enumerate(ordered[FIRST_ATTACK:], start=self.num_agents):
+            target = jnp.where(attacks, enemy, target)
+        enemies = jnp.zeros((len(self.layout.enemies), *action.shape[1:]))
         return Orders(
             target=jnp.concatenate([target, enemies.astype(jnp.int32)]),
             toward_x=jnp.concatenate([toward_x, enemies]),

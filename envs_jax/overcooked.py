@@ -7,7 +7,7 @@ pays the team 20, any other nothing. Only the seats at reset are random.
 """
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from envs_jax import (
     overcooked_kitchen,
     overcooked_lossless,
 )
+from envs_jax.choices import check_choice
 from envs_jax.overcooked_kitchen import Kitchen
 from envs_jax.overcooked_rules import NOTHING, NUM_ITEMS, StartCooking, cook, use_table
 from envs_jax.types import TimeStep
@@ -87,11 +88,8 @@ class Overcooked:
         overcooked_kitchen.read(self.layout)
         if self.max_steps < 1:
             raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
-        for name, choices in (("start_cooking", StartCooking), ("observation", Observation)):
-            if getattr(self, name) not in get_args(choices):
-                raise ValueError(
-                    f"{name} must be one of {get_args(choices)}, got {getattr(self, name)!r}"
-                )
+        check_choice("start_cooking", self.start_cooking, StartCooking)
+        check_choice("observation", self.observation, Observation)
 
     @property
     def kitchen(self) -> Kitchen:

@@ -18,7 +18,7 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple, get_args
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.adapters import jaxmarl_facts as facts
 from envs_jax.adapters import jaxmarl_pictures as pictures
+from envs_jax.choices import check_choice
 from envs_jax.types import TimeStep
 
 TeamReward = Literal["mean", "sum"]
@@ -58,9 +59,7 @@ class JaxMARLTask:
     def __post_init__(self) -> None:
         facts.check_agents(self.source, self.label)
         object.__setattr__(self, "max_steps", facts.time_limit(self.source, self.max_steps))
-        if self.team_reward not in get_args(TeamReward):
-            known = " or ".join(get_args(TeamReward))
-            raise ValueError(f"team_reward must be {known}, got {self.team_reward!r}")
+        check_choice("team_reward", self.team_reward, TeamReward)
         if not math.isfinite(self.shaped_reward_coef):
             raise ValueError(f"shaped_reward_coef must be finite, got {self.shaped_reward_coef}")
         if self.shaped_reward_coef and not self._shapes.has_shaped_reward:

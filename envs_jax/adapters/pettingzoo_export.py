@@ -2,13 +2,14 @@
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import jax
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete, Space
 from pettingzoo import ParallelEnv
 
+from envs_jax.choices import check_choice
 from envs_jax.types import Environment, EnvState, TimeStep
 
 ActionMasks = Literal["observation", "info"]
@@ -25,9 +26,7 @@ class ExportedParallelEnv(ParallelEnv):
         self, env: Environment, seed: int = 0, action_masks: ActionMasks = "observation"
     ) -> None:
         """Agents are called agent_0, agent_1, and so on."""
-        if action_masks not in get_args(ActionMasks):
-            known = " or ".join(get_args(ActionMasks))
-            raise ValueError(f"action_masks must be {known}, got {action_masks!r}")
+        check_choice("action_masks", action_masks, ActionMasks)
         self.env = env
         self.render_mode = "rgb_array"
         self.metadata = {

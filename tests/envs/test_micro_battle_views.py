@@ -156,8 +156,8 @@ def test_a_scenario_that_makes_no_sense_is_refused(fields, message):
     ("fields", "message"),
     [
         ({"scenario": "3n"}, "scenario '3n' is unknown; choose from 3m, 2s_vs_1sc"),
-        ({"balance": "wol"}, "balance must be one of ('multi', 'liberty'), got 'wol'"),
-        ({"observation": "raw"}, "observation must be one of ('mappo', 'smac'), got 'raw'"),
+        ({"balance": "wol"}, "balance must be multi or liberty, got 'wol'"),
+        ({"observation": "raw"}, "observation must be mappo or smac, got 'raw'"),
         ({"time_limit": 0}, "time_limit must be at least 1 or None, got 0"),
     ],
 )

@@ -123,9 +123,9 @@ def test_kitchens_that_nobody_can_play_in(layout, message):
         (
             "start_cooking",
             "never",
-            "start_cooking must be one of ('interact', 'auto'), got 'never'",
+            "start_cooking must be interact or auto, got 'never'",
         ),
-        ("observation", "raw", "observation must be one of ('features', 'lossless'), got 'raw'"),
+        ("observation", "raw", "observation must be features or lossless, got 'raw'"),
     ],
 )
 def test_other_fields_check_themselves(field, value, message):
