@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import (
     Assignment,
     HighBatch,
     assign,
     coordinator_loss,
-    make_coordinator,
 )
 from hmasd_jax.ppo import PPOConfig
 from hmasd_jax.value_norm import ValueNorm

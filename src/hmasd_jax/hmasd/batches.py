@@ -86,9 +86,8 @@ def high_batch(
 ) -> HighBatch:
     """B_h: one sample per segment, taken where its skills were drawn.
 
-    With the rollout's clock there are exactly T E / k segments. With the episode's clock their
-    number varies: twice as many slots are filled by a random choice of segments, repeated if
-    there are fewer.
+    There are `config.num_segments` samples: a random choice of segments, repeated if there are
+    fewer.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -102,11 +101,8 @@ def high_batch(
         ppo.discount,
         ppo.gae_lambda,
     )
-    slots = ppo.num_envs * ppo.rollout_length // config.skill_interval
-    if config.segment_clock == "episode":
-        slots = 2 * slots
     batch = HighBatch(segments.state, segments.obs, segments.assignment, advantage, target)
-    chosen = _choose(segments.begins.reshape(-1), slots, key)
+    chosen = _choose(segments.begins.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
     if config.zero_reward_guard:

@@ -1,11 +1,14 @@
 """Settings of HMASD (paper Table 3, and what only the authors' code tells)."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
 from hmasd_jax.networks import ConditionAt
 from hmasd_jax.ppo import PPOConfig
 from hmasd_jax.settings import check_divides, check_multiple, check_range
+
+CoordinatorKind = Literal["learned", "team_only", "random"]
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,9 @@ class HMASDConfig:
     """Standard deviation of Gaussian noise on what the discriminators see, in the units of obs and
     state, or in deviations of each feature with `discriminator_standardize`. Without it (the
     paper), skills that can just be told apart pay as much as skills that lead far apart."""
+    coordinator: CoordinatorKind = "learned"
+    """Who assigns skills: the `learned` coordinator; one that learns the team's skill only, which
+    is each agent's own as well (`team_only`, the ablation NoIndi); or chance (`random`, NoHigh)."""
     num_blocks: int = 1
     """Encoder blocks and decoder blocks of the coordinator."""
     num_heads: int = 1
@@ -74,11 +80,27 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", low=0)
-        check_multiple(
-            "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
-        )
+        if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:
+            raise ValueError(
+                f"num_skills {self.num_skills} must be num_team_skills = {self.num_team_skills} "
+                "with coordinator team_only: every agent has the team's skill"
+            )
+        if self.segment_clock == "rollout":
+            check_multiple(
+                "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
+            )
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
         # The coordinator's samples are segments, fewer than the sequences of the low level.
-        segments = ppo.num_envs * (ppo.rollout_length // self.skill_interval)
-        segments_name = "ppo.num_envs x ppo.rollout_length / skill_interval"
-        check_divides("ppo.num_minibatches", ppo.num_minibatches, segments_name, segments)
+        check_divides(
+            "ppo.num_minibatches", ppo.num_minibatches, "the coordinator's batch", self.num_segments
+        )
+
+    @property
+    def num_segments(self) -> int:
+        """Segments of a rollout that the coordinator is trained on, repeated if there are fewer.
+
+        With the rollout's clock there are exactly as many. With the episode's clock their number
+        varies: episodes that end early make more.
+        """
+        segments = self.ppo.num_envs * math.ceil(self.ppo.rollout_length / self.skill_interval)
+        return segments if self.segment_clock == "rollout" else 2 * segments

@@ -5,7 +5,7 @@ skills, log-probabilities and values have these 1 + N tokens on their last axis.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import distrax
 import jax.numpy as jnp
@@ -67,6 +67,9 @@ class Coordinator(nn.Module):
     num_blocks: int
     num_heads: int
 
+    always_samples: ClassVar[bool] = False
+    """Whether skills are sampled even where the likeliest ones are asked for."""
+
     def setup(self) -> None:
         """Create the parts; the input embeddings of team and agents are separate."""
         self.embed_state = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
@@ -115,22 +118,14 @@ class Coordinator(nn.Module):
         x = self.decoder_norm(gelu(jnp.concatenate(embedded, axis=-2)))
         for block in self.decoder_blocks:
             x = block(x, encoded)
-        return mask_logits(self.skill_head(x), self._legal_skills(skills.shape[-1]))
+        return mask_logits(self.skill_head(x), self.legal_skills(skills))
 
-    def _legal_skills(self, num_tokens: int) -> Bool[Array, "tokens skills"]:
-        counts = jnp.array([self.num_team_skills] + [self.num_skills] * (num_tokens - 1))
+    def legal_skills(
+        self, skills: Int[Array, "*batch tokens"]
+    ) -> Bool[Array, "*#batch tokens skills"]:
+        """Which skills each token may have, given those before it: n_Z and n_z differ."""
+        counts = jnp.array([self.num_team_skills] + [self.num_skills] * (skills.shape[-1] - 1))
         return jnp.arange(self.max_skills) < counts[:, None]
-
-
-def make_coordinator(config: HMASDConfig) -> Coordinator:
-    """The coordinator's network."""
-    return Coordinator(
-        config.num_team_skills,
-        config.num_skills,
-        config.ppo.hidden_size,
-        config.num_blocks,
-        config.num_heads,
-    )
 
 
 def assign(
@@ -152,6 +147,7 @@ def assign(
         return apply(network, params, encoded, skills, method="decode")
 
     # Illegal skills have probability 0, so each draw is legal at its token.
+    greedy = greedy and not network.always_samples
     skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, fixed)
     return Assignment(skills, log_prob, value)
 

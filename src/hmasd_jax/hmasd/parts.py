@@ -8,8 +8,9 @@ import optax
 
 from envs_jax import Environment
 from hmasd_jax.actor_critic import ActorCritic
+from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.hmasd.coordinator import Coordinator, make_coordinator
+from hmasd_jax.hmasd.coordinator import Coordinator
 from hmasd_jax.hmasd.discoverer import init_memory, make_discoverer
 from hmasd_jax.hmasd.discriminators import Discriminators, make_discriminators
 from hmasd_jax.sgd import make_optimizer
