@@ -1,33 +1,16 @@
 import json
+import runpy
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hmasd_jax import config as configs
+from envs_jax import MissingPackageError
 from hmasd_jax import plot
 from hmasd_jax.run_folder import RunError
 
-STEPS = [0, 100, 200, 300]
-
-
-def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
-    """A run folder with evaluations at `STEPS`, as far as each curve goes."""
-    folder.mkdir()
-    table = configs.to_json(configs.load(None, overrides))
-    (folder / "config.json").write_text(json.dumps(table))
-    for seed, curve in enumerate(curves):
-        (folder / f"seed_{seed}").mkdir()
-        records = []
-        for step, value in zip(STEPS, curve):
-            where = {"seed": seed, "env_steps": step, "wall_seconds": 1.0}
-            records.append({"kind": "eval", **where, "success": value, "length": 100 * value})
-            train = {"coordinator/team_entropy": 0.5, "discriminators/team_accuracy": value}
-            records.append({"kind": "train", **where, **train})
-        lines = "".join(json.dumps(record) + "\n" for record in records)
-        (folder / f"seed_{seed}" / "metrics.jsonl").write_text(lines)
-    return folder
+write_run = runpy.run_path(str(Path(__file__).with_name("runs.py")))["write_run"]
 
 
 @pytest.fixture
@@ -97,8 +80,8 @@ def test_labels_are_algorithms_only_if_they_differ(tmp_path):
     runs = [tmp_path / "a", tmp_path / "b"]
     for folder in runs:
         (folder / "seed_0").mkdir(parents=True)
-    assert plot._labels(runs, tables) == ["hmasd (1 seed)", "mappo (1 seed)"]
-    assert plot._labels(runs, [tables[0]] * 2) == ["a (1 seed)", "b (1 seed)"]
+    assert plot.labels_of(runs, tables) == ["hmasd (1 seed)", "mappo (1 seed)"]
+    assert plot.labels_of(runs, [tables[0]] * 2) == ["a (1 seed)", "b (1 seed)"]
 
 
 def test_errors_are_one_line(run, tmp_path):
@@ -120,6 +103,6 @@ def test_missing_package_names_the_command(run, tmp_path, monkeypatch):
     with pytest.raises(ImportError) as error:
         plot.plot_runs([run], tmp_path / "x.png")
     assert str(error.value) == (
-        "the package matplotlib is not installed: pip install 'hmasd-jax[plots]'"
+        "plotting needs the package matplotlib: pip install 'hmasd-jax[plots]'"
     )
-    assert isinstance(error.value, RunError)
+    assert isinstance(error.value, MissingPackageError)

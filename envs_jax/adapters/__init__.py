@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from envs_jax.adapters.jaxmarl_import import TeamReward, WrappedJaxMARL
 from envs_jax.adapters.jaxmarl_named import JaxMARL
-from envs_jax.adapters.optional import MissingPackageError, require
+from envs_jax.optional import MissingPackageError, require
 from envs_jax.types import Environment
 
 if TYPE_CHECKING:

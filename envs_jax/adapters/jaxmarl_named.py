@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 from envs_jax.adapters.jaxmarl_import import JaxMARLTask
-from envs_jax.adapters.optional import require
+from envs_jax.optional import require
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,25 +3,29 @@
 Every curve is the mean over seeds with its 95 % bootstrap interval; thin lines are the seeds.
 """
 
-import importlib
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
+from envs_jax.optional import require
 from hmasd_jax import logging, run_folder
+from hmasd_jax.figures import (
+    COLORS,
+    Curve,
+    colors,
+    common_steps,
+    draw_curves,
+    finish,
+    new_figure,
+    save,
+)
 from hmasd_jax.run_folder import RunError
-from hmasd_jax.statistics import Array, mean_interval
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
-"""Told apart by color-blind readers as well (Okabe and Ito)."""
 
 ENTROPIES = {"coordinator/team_entropy": "team", "coordinator/skill_entropy": "individual"}
 ACCURACIES = {
@@ -30,13 +34,6 @@ ACCURACIES = {
 }
 NUM_SKILLS = {"team": "num_team_skills", "individual": "num_skills"}
 STYLES: dict[str, Literal["-", "--"]] = {"team": "-", "individual": "--"}
-
-Curve = tuple[Array, Array]
-"""Environment steps, and a value at each."""
-
-
-class MissingPackageError(ImportError, RunError):
-    """An optional package is not installed; the message is one line with the remedy."""
 
 
 class Reference(NamedTuple):
@@ -75,23 +72,20 @@ def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
         RunError: a folder is not one of a run, or has no evaluation of that name yet, or `out`
             cannot be written.
     """
-    require("matplotlib")
+    require("matplotlib", "plots", "plotting")
     runs = [Path(run) for run in runs]
-    curves = [read_curves(run, "eval", metric) for run in runs]
-    for run, seeds in zip(runs, curves):
-        if not seeds:
-            raise RunError(f"{run} has no evaluation of {metric} yet: {_known_metrics(run)}")
+    curves = [read_evaluations(run, metric) for run in runs]
     tables = [json.loads((run / "config.json").read_text()) for run in runs]
     panels = _diagnostics(runs, tables)
-    figure, main, side = _figure(panels=bool(panels))
-    for seeds, label, color in zip(curves, _labels(runs, tables), _colors(len(runs))):
+    figure, main, side = new_figure(panels=bool(panels))
+    for seeds, label, color in zip(curves, labels_of(runs, tables), colors(len(runs))):
         draw_curves(main, seeds, label, color)
     names = sorted({table["env"]["name"] for table in tables})
-    _finish(main, ", ".join(names), metric, legend=True)
+    finish(main, ", ".join(names), metric, legend=True)
     for axes, (title, lines) in zip(side, panels.items()):
         for curve, style, color in lines:
             axes.plot(*curve, color=color, linestyle=style, linewidth=1.4)
-        _finish(axes, title, None)
+        finish(axes, title, None)
     if panels:
         _explain_styles(side[0])
         side[-1].set_xlabel("environment steps", fontsize=8)
@@ -113,17 +107,29 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     Raises:
         MissingPackageError: matplotlib is not installed.
     """
-    require("matplotlib")
+    require("matplotlib", "plots", "plotting")
     record = json.loads(Path(result).read_text())
     steps = np.asarray(record["env_steps"], float)
     values = np.asarray(record["values"], float)
-    figure, axes, _ = _figure(panels=False)
+    figure, axes, _ = new_figure(panels=False)
     label = f"{Path(result).stem} ({len(values)} seeds)"
     draw_curves(axes, [(steps, row) for row in values], label, COLORS[0])
     if reference is not None:
         _draw_reference(axes, reference, steps[-1])
-    _finish(axes, Path(result).parent.name, record["metric"], legend=True)
+    finish(axes, Path(result).parent.name, record["metric"], legend=True)
     return save(figure, out)
+
+
+def read_evaluations(run: Path, metric: str) -> list[Curve]:
+    """One curve of evaluations per seed.
+
+    Raises:
+        RunError: not the folder of a run, or it has no evaluation of that name yet.
+    """
+    curves = read_curves(run, "eval", metric)
+    if not curves:
+        raise RunError(f"{run} has no evaluation of {metric} yet: {_known_metrics(run)}")
+    return curves
 
 
 def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
@@ -143,38 +149,6 @@ def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
     return curves
 
 
-def common_steps(curves: Sequence[Curve]) -> tuple[Array, Array]:
-    """The environment steps (n,) that all seeds have reached, and values (seeds, n) there."""
-    steps = curves[0][0]
-    for others, _ in curves[1:]:
-        steps = np.intersect1d(steps, others)
-    return steps, np.array([values[np.isin(own, steps)] for own, values in curves])
-
-
-def draw_curves(axes: "Axes", curves: Sequence[Curve], label: str, color: str) -> None:
-    """Mean, interval of the mean, and all seeds."""
-    for own, values in curves:
-        axes.plot(own, values, color=color, linewidth=0.7, alpha=0.35)
-    steps, values = common_steps(curves)
-    if len(curves) > 1 and len(steps):
-        axes.fill_between(steps, *mean_interval(values), color=color, alpha=0.2, linewidth=0)
-    axes.plot(steps, values.mean(axis=0), color=color, linewidth=2.2, label=label)
-
-
-def require(package: str) -> ModuleType:
-    """Import an optional package.
-
-    Raises:
-        MissingPackageError: it is not installed.
-    """
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingPackageError(
-            f"the package {package} is not installed: pip install 'hmasd-jax[plots]'"
-        ) from error
-
-
 def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[Curve, str, str]]]:
     """Title and (curve, line style, color) of each side panel: means over seeds.
 
@@ -183,7 +157,7 @@ def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[C
     """
     panels = {"skill entropy / uniform": ENTROPIES, "discriminator accuracy": ACCURACIES}
     found: dict[str, list[tuple[Curve, str, str]]] = {title: [] for title in panels}
-    for run, table, color in zip(runs, tables, _colors(len(runs))):
+    for run, table, color in zip(runs, tables, colors(len(runs))):
         for title, metrics in panels.items():
             for metric, level in metrics.items():
                 count = table["algorithm"].get(NUM_SKILLS[level], 1)
@@ -211,39 +185,6 @@ def _draw_reference(axes: "Axes", reference: Reference, end: float) -> None:
         )  # fmt: skip
 
 
-def _figure(panels: bool) -> tuple["Figure", "Axes", list["Axes"]]:
-    """A wide panel, and two small ones stacked beside it if asked for."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0 if panels else 6.4, 4.2), dpi=150, layout="constrained")
-    if not panels:
-        return figure, figure.add_subplot(), []
-    grid = figure.add_gridspec(2, 2, width_ratios=(1.9, 1.0))
-    side = [figure.add_subplot(grid[row, 1]) for row in range(2)]
-    return figure, figure.add_subplot(grid[:, 0]), side
-
-
-def _finish(axes: "Axes", title: str, metric: str | None, legend: bool = False) -> None:
-    """Titles, units and quiet decoration; fractions are shown in percent."""
-    from matplotlib.ticker import EngFormatter, PercentFormatter
-
-    axes.set_title(title, fontsize=11 if metric else 9, loc="left")
-    axes.grid(alpha=0.25, linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.xaxis.set_major_formatter(EngFormatter(sep=""))
-    axes.set_xlim(left=0)
-    if metric is None or metric == "success":
-        axes.set_ylim(-0.03, 1.03)
-        axes.yaxis.set_major_formatter(PercentFormatter(1.0))
-    if metric is None:
-        axes.tick_params(labelsize=8)
-        return
-    axes.set_xlabel("environment steps")
-    axes.set_ylabel("success rate" if metric == "success" else metric)
-    if legend:
-        axes.legend(frameon=False, fontsize=9)
-
-
 def _explain_styles(axes: "Axes") -> None:
     """What solid and dashed lines are."""
     from matplotlib.lines import Line2D
@@ -252,17 +193,13 @@ def _explain_styles(axes: "Axes") -> None:
     axes.legend(handles=lines, frameon=False, fontsize=8, loc="best")
 
 
-def _labels(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
+def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
     """Names of the algorithms if they tell the runs apart, else names of the folders."""
     names = [table["algorithm"]["name"] for table in tables]
     if len(set(names)) < len(names):
         names = [run.resolve().name for run in runs]
     counts = [len(run_folder.seeds_of(run)) for run in runs]
     return [f"{name} ({n} seed{'s' * (n > 1)})" for name, n in zip(names, counts)]
-
-
-def _colors(count: int) -> list[str]:
-    return [COLORS[i % len(COLORS)] for i in range(count)]
 
 
 def _known_metrics(run: Path) -> str:
@@ -272,20 +209,3 @@ def _known_metrics(run: Path) -> str:
             if record["kind"] == "eval":
                 return f"there are {', '.join(sorted(set(record) - logging.NOT_METRICS))}"
     return "wait for its first one"
-
-
-def save(figure: "Figure", out: Path) -> Path:
-    """Write a figure in the format of the suffix.
-
-    Raises:
-        RunError: it cannot be written.
-    """
-    out = Path(out)
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out)
-    except (OSError, ValueError) as error:  # the latter for a format it does not know
-        raise RunError(
-            f"cannot write {out}: {getattr(error, 'strerror', None) or error}"
-        ) from error
-    return out

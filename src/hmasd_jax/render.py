@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax import Environment
+from envs_jax.optional import require
 from hmasd_jax.drawing import INK, LOST, WON, describe_agents, draw_frame
-from hmasd_jax.plot import require
 from hmasd_jax.policy import TrainedRun, load_run
 from hmasd_jax.run_folder import RunError
 from hmasd_jax.types import Key, Policy
@@ -70,7 +70,7 @@ def render_run(
         CheckpointError: nothing was saved yet, or it is damaged.
     """
     for package in ("imageio", "PIL", "matplotlib"):
-        require(package)
+        require(package, "plots", "rendering")
     check_format(out)
     trained = load_run(run, seed, step)
     if team_skill is not None:

@@ -8,8 +8,9 @@ import numpy as np
 
 from envs_jax import alice_and_bob
 from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.optional import require
 from hmasd_jax.drawing import describe_agents
-from hmasd_jax.plot import require, save
+from hmasd_jax.figures import save
 from hmasd_jax.policy import TrainedRun, load_run
 from hmasd_jax.render import make_policy, play
 from hmasd_jax.run_folder import RunError
@@ -43,7 +44,7 @@ def draw_skills(
             written.
         CheckpointError: nothing was saved yet, or it is damaged.
     """
-    require("matplotlib")
+    require("matplotlib", "plots", "plotting")
     from matplotlib.figure import Figure
 
     trained = load_run(run, seed, step)

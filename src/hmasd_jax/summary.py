@@ -8,8 +8,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from envs_jax.optional import MissingPackageError
 from hmasd_jax import logging, run_folder
-from hmasd_jax.plot import MissingPackageError, plot_runs
+from hmasd_jax.plot import plot_runs
 from hmasd_jax.trainer import Event
 
 LAST = 5

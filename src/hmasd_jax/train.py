@@ -101,12 +101,13 @@ def _run(name: str, words: list[str]) -> int:
 
 def _guarded(action: Callable[..., int], *args: Any) -> int:
     """Run `action`; what the user can mend is told in one line."""
+    from envs_jax.optional import MissingPackageError
     from hmasd_jax.checkpoint import CheckpointError
     from hmasd_jax.run_folder import RunError
 
     try:
         return action(*args)
-    except (RunError, CheckpointError) as error:
+    except (RunError, CheckpointError, MissingPackageError) as error:
         return _complain(error)
     except OSError as error:  # above all a full disk
         print(f"error: {error}; what was saved before stays usable", file=sys.stderr)

@@ -1,0 +1,26 @@
+"""Run folders as training leaves them, without any training."""
+
+import json
+from pathlib import Path
+
+from hmasd_jax import config as configs
+
+STEPS = [0, 100, 200, 300]
+
+
+def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
+    """A run folder with evaluations at `STEPS`, as far as each curve goes."""
+    folder.mkdir()
+    table = configs.to_json(configs.load(None, overrides))
+    (folder / "config.json").write_text(json.dumps(table))
+    for seed, curve in enumerate(curves):
+        (folder / f"seed_{seed}").mkdir()
+        records = []
+        for step, value in zip(STEPS, curve):
+            where = {"seed": seed, "env_steps": step, "wall_seconds": 1.0}
+            records.append({"kind": "eval", **where, "success": value, "length": 100 * value})
+            train = {"coordinator/team_entropy": 0.5, "discriminators/team_accuracy": value}
+            records.append({"kind": "train", **where, **train})
+        lines = "".join(json.dumps(record) + "\n" for record in records)
+        (folder / f"seed_{seed}" / "metrics.jsonl").write_text(lines)
+    return folder
