@@ -35,6 +35,11 @@ class RunOptions:
     wandb: bool = False
     """Log to Weights & Biases too (package wandb; WANDB_MODE=offline needs no account)."""
 
+    @property
+    def saved_config(self) -> Path | None:
+        """The configuration of the run to resume."""
+        return self.run_dir / "config.json" if self.resume and self.run_dir else None
+
 
 @dataclass(frozen=True)
 class SweepOptions(RunOptions):
@@ -43,6 +48,35 @@ class SweepOptions(RunOptions):
     distributed: bool = False
     """Share the seeds among the processes that this command was started in, by srun, mpirun or the
     environment variables JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID."""
+
+
+@dataclass(frozen=True)
+class GridOptions(RunOptions):
+    """Which setting to vary, and where the sweeps read from and write to."""
+
+    vary: str = ""
+    """A setting and its values, e.g. algorithm.skill_interval=5,10,25,50. Each value is a run of
+    its own in --run-dir."""
+
+    @property
+    def saved_config(self) -> None:
+        """Each value has its own."""
+
+    @property
+    def cells(self) -> tuple[str, list[str]]:
+        """The setting's dotted name, and its values.
+
+        Raises:
+            ConfigError: `vary` is not written as it should be.
+        """
+        name, equals, values = self.vary.partition("=")
+        found = [value.strip() for value in values.split(",")]
+        if not (name and equals and all(found)) or len(set(found)) < len(found):
+            raise ConfigError(
+                "--vary must name a setting and its values, each once, as in "
+                f"algorithm.skill_interval=5,10,25: got {self.vary!r}"
+            )
+        return name.strip().replace("-", "_"), found
 
 
 @dataclass(frozen=True)
@@ -108,6 +142,21 @@ class PlotOptions:
     """Which number of the evaluations, e.g. success, return or length."""
 
 
+@dataclass(frozen=True)
+class CompareOptions(PlotOptions):
+    """What to compare."""
+
+    out: Path = Path("comparison.png")
+    """Image to write."""
+    last: int = 5
+    """Evaluations at the end that the score of a seed is the mean of."""
+    solved_at: float = 0.9
+    """Score from which on a seed counts as one that learned."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "last", low=1)
+
+
 def parse(
     cls: type[Options], arguments: Sequence[str], positional: str | None = None
 ) -> tuple[Options, dict[str, Text]]:
@@ -148,6 +197,18 @@ def parse(
         else:
             given[positional] = Text(word)
     return from_table(cls, given), overrides
+
+
+def drop_options(words: Sequence[str], *names: str) -> list[str]:
+    """The words of a command line without the named options and their values."""
+    kept: list[str] = []
+    dropping = False
+    for word in words:
+        if word.startswith("--"):
+            dropping = word[2:].partition("=")[0].replace("_", "-") in names
+        if not dropping:
+            kept.append(word)
+    return kept
 
 
 def refuse_overrides(cls: type, overrides: dict[str, Text]) -> None:

@@ -90,8 +90,15 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
     Raises:
         ConfigError: file not readable, unknown key or name, wrong type, or value out of range.
     """
-    table = _read(Path(path)) if path is not None else {}
-    overrides = dict(overrides or {})
+    return from_json(override(_read(Path(path)) if path is not None else {}, overrides or {}))
+
+
+def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Put values by dotted name into nested tables; with another name, a section begins anew.
+
+    Raises:
+        ConfigError: a name leads through something that is not a table.
+    """
     for section in ("env", "algorithm"):
         name = overrides.get(f"{section}.name")
         if name is not None and str(name) != _section(table, section).get(
@@ -106,7 +113,7 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
             if not isinstance(node, dict):
                 raise ConfigError(f"unknown key {dotted}: {parent} is not a table")
         node[last] = value
-    return from_json(table)
+    return table
 
 
 def from_json(table: Mapping[str, Any]) -> TrainConfig:

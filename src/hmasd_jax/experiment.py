@@ -1,9 +1,10 @@
-"""The commands that train: `train` and `seed_sweep`, from settings to a finished run folder."""
+"""The commands that train: `train`, `seed_sweep` and `grid`, from settings to finished runs."""
 
 import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +13,18 @@ from rich.console import Console
 
 from hmasd_jax import config as configs
 from hmasd_jax import distributed, logging, run_folder, summary, sweep
-from hmasd_jax.arguments import RunOptions, SweepOptions, TrainOptions
+from hmasd_jax.arguments import (
+    GridOptions,
+    RunOptions,
+    SweepOptions,
+    TrainOptions,
+    drop_options,
+)
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.distributed import ALONE, Group
 from hmasd_jax.plan import make_plan
 from hmasd_jax.progress import Display
+from hmasd_jax.settings import Text
 from hmasd_jax.trainer import Event, Job, choose_layout, train_seeds
 
 INTERRUPTED = 130
@@ -36,6 +44,34 @@ def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> 
     if options.run_dir is None:
         raise run_folder.RunError("--distributed needs --run-dir, a folder all processes can see")
     return _experiment("seed_sweep", config, options, words, seeds, distributed.join())
+
+
+def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
+    """`seed_sweep` for every value of a setting, one after the other; the worst exit code.
+
+    Nothing is begun unless all values can be. Each has a run folder named after it.
+    """
+    name, values = options.cells
+    root = options.run_dir or _default_folder(config)
+    runs = {value: root / f"{name.rpartition('.')[2]}_{value}" for value in values}
+    cells = {
+        value: configs.from_json(configs.override(configs.to_json(config), {name: Text(value)}))
+        for value in values
+    }
+    begun = [value for value in values if runs[value].exists()]
+    if begun and not options.resume:
+        raise run_folder.RunError(
+            f"{runs[begun[0]]} exists: continue with --resume, or choose another --run-dir"
+        )
+    words = drop_options(words, "vary", "run-dir", "resume")
+    codes = []
+    for value, cell in cells.items():
+        one = replace(options, run_dir=runs[value], resume=value in begun)
+        line = [*words, f"--{name}", value, "--run-dir", str(runs[value])]
+        codes.append(_experiment("seed_sweep", cell, one, line, list(range(cell.num_seeds))))
+        if codes[-1] == INTERRUPTED:
+            break
+    return max(codes)
 
 
 def _experiment(

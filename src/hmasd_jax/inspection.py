@@ -1,4 +1,4 @@
-"""The commands that look at runs: `evaluate`, `render` and `plot`."""
+"""The commands that look at runs: `evaluate`, `render`, `plot` and `compare`."""
 
 import jax
 from rich.console import Console
@@ -6,7 +6,7 @@ from rich.table import Table
 
 from hmasd_jax import checkpoint, run_folder
 from hmasd_jax import config as configs
-from hmasd_jax.arguments import EvaluateOptions, PlotOptions, RenderOptions
+from hmasd_jax.arguments import CompareOptions, EvaluateOptions, PlotOptions, RenderOptions
 from hmasd_jax.evaluate import evaluate as play
 from hmasd_jax.policy import load_run
 from hmasd_jax.programs import evaluation_key
@@ -46,7 +46,7 @@ def evaluate(options: EvaluateOptions) -> int:
     table = Table("seed", "env steps", *rows[0][2], title=f"{episodes} {how} episodes per seed")
     for index, env_steps, numbers in rows:
         table.add_row(str(index), f"{env_steps:,}", *(f"{x:.3f}" for x in numbers.values()))
-    console = Console()
+    console = _console()
     console.print(table)
     for index in sorted(set(folders) - set(ready)):
         console.print(f"seed {index} has no checkpoint yet", highlight=False)
@@ -67,3 +67,21 @@ def plot(options: PlotOptions) -> int:
 
     print(plot_runs(options.runs, options.out, options.metric))
     return 0
+
+
+def compare(options: CompareOptions) -> int:
+    """Compare runs on one task; the exit code."""
+    from hmasd_jax.compare import compare_runs, tables
+
+    comparison = compare_runs(options.runs, options.metric, options.last, options.solved_at)
+    console = _console()
+    for table in tables(comparison):
+        console.print(table)
+    print(comparison.draw(options.out))
+    return 0
+
+
+def _console() -> Console:
+    """As wide as the terminal; wide enough for any table where there is none."""
+    console = Console()
+    return console if console.is_terminal else Console(width=200)

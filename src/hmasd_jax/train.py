@@ -27,6 +27,12 @@ COMMANDS = {
         arguments.SweepOptions,
         None,
     ),
+    "grid": Command(
+        "Train several seeds for each value of one setting, e.g. --vary "
+        "algorithm.num_skills=2,3,4,5.",
+        arguments.GridOptions,
+        None,
+    ),
     "evaluate": Command(
         "Play episodes with the newest checkpoint of every seed of a run.",
         arguments.EvaluateOptions,
@@ -34,6 +40,11 @@ COMMANDS = {
     ),
     "render": Command("Draw an episode as a GIF.", arguments.RenderOptions, "run"),
     "plot": Command("Plot learning curves of runs.", arguments.PlotOptions, "runs"),
+    "compare": Command(
+        "Compare runs on one task: curves, and statistics over seeds with intervals.",
+        arguments.CompareOptions,
+        "runs",
+    ),
 }
 
 
@@ -90,7 +101,7 @@ def _run(name: str, words: list[str]) -> int:
         return _guarded(action, options)
     if options.resume and options.run_dir is None:
         raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
-    saved = options.run_dir / "config.json" if options.resume else None
+    saved = options.saved_config
     if saved and not saved.is_file():
         raise ConfigError(f"{options.run_dir} is not a run folder: it has no config.json")
     settings = config.load(options.config or saved, overrides)
