@@ -1,4 +1,4 @@
-"""What the ablations NoIndi and NoHigh of the paper (Sec. 4.4) have in the coordinator's place.
+"""What the ablations NoIndi and NoHigh of the paper (Sec. 4.3) have in the coordinator's place.
 
 The other three ablations are settings: NoTeam has `num_team_skills = 1`, NoExRew
 `extrinsic_coef = 0`, NoInRew neither of the two intrinsic coefficients.
