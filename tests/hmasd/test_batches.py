@@ -218,6 +218,19 @@ def test_low_level_targets_run_through_changes_of_skill_to_a_fresh_team_skill():
     assert_allclose(batch.advantage.reshape(-1), expected, rtol=1e-5)
 
 
+def test_low_level_advantages_are_normalized_over_who_has_a_choice():
+    # The agent dies with step 1: its last two advantages (above) do not count.
+    rollout = _rollout()
+    timestep = rollout.transitions.timestep
+    dead = jnp.arange(4)[:, None, None, None] >= 2
+    mask = timestep.action_mask & (~dead | jnp.array([True, False]))
+    transitions = rollout.transitions._replace(timestep=timestep._replace(action_mask=mask))
+    advantage = np.array([5.140625, 16.5625, 60.25, 229])
+    expected = (advantage - advantage[:2].mean()) / advantage[:2].std()
+    batch = _low(_parts(), rollout._replace(transitions=transitions))
+    assert_allclose(batch.advantage.reshape(-1), expected, rtol=1e-5)
+
+
 def test_low_level_values_are_denormalized_for_gae():
     # Mean 3, deviation 2: V_3 = 4 stands for 11, the last 450 for 903; 8 + 451.5 = 459.5.
     norm = ValueNorm(*jnp.array([3.0, 13.0, 1.0]))

@@ -71,6 +71,21 @@ def test_eq_7_by_hand():
     assert_allclose(loss, -0.25 + 1.81 - 0.5 * 0.683079, rtol=1e-5)
 
 
+def test_the_dead_count_for_the_value_only():
+    # As above, but agent 0 is dead: its only action has probability 1 and ratio 1. Policy and
+    # entropy are agent 1's alone, 2 and 0.693147; V is still fitted to both returns: 1.81.
+    networks = _networks([[[[1.0, 1e-9], [0.5, 0.5]]]], [[[2.0]]])
+    batch = _batch(
+        action_mask=jnp.array([[[[True, False], [True, True]]]]),
+        log_prob=jnp.log(jnp.array([[[1.0, 0.5]]])),
+    )
+    params = {"actor": {}, "critic": {}}
+    config = HMASDConfig(low_entropy_coef=0.01)
+    loss, metrics = discoverer_loss(params, networks, UNIT, batch, config)
+    assert_allclose(loss, -2.0 + 1.81 - 0.00693147, rtol=1e-5)
+    assert_allclose(metrics["entropy"], 0.693147, rtol=1e-5)
+
+
 def test_targets_are_normalized_and_values_are_not():
     # Mean 3, deviation 2: returns 5 and 1 become 1 and -1. V = 0, as when acting: (1 + 1) / 4.
     networks = _networks([[[[0.5, 0.5], [0.5, 0.5]]]], [[[0.0]]])

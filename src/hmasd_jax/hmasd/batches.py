@@ -15,6 +15,7 @@ from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.networks import apply
+from hmasd_jax.ppo import has_choice
 from hmasd_jax.rollout import cut, flatten, following
 from hmasd_jax.types import Key
 from hmasd_jax.value_norm import ValueNorm, denormalize
@@ -127,7 +128,7 @@ def low_batch(
     """B_l: advantages and targets over all T steps, then sequences of `sequence_length` steps.
 
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
-    skill in use there.
+    skill in use there. Advantages are normalized over the agents that have a choice.
     """
     ppo, transitions = parts.config.ppo, rollout.transitions
     outcome, extras = transitions.outcome, transitions.extras
@@ -156,7 +157,7 @@ def low_batch(
         "action": transitions.action,
         "log_prob": extras.log_prob,
         "value": extras.value,
-        "advantage": normalize_advantage(advantage),
+        "advantage": normalize_advantage(advantage, has_choice(transitions.timestep.action_mask)),
         "target": target,
     }
     return LowBatch(memory, **cut(steps, ppo.sequence_length))

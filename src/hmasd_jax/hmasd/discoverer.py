@@ -13,7 +13,7 @@ from hmasd_jax import actor_critic
 from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks import RecurrentNet
-from hmasd_jax.ppo import ppo_loss
+from hmasd_jax.ppo import has_choice, masked_mean, ppo_loss
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Metrics
 from hmasd_jax.value_norm import ValueNorm, normalize
@@ -95,8 +95,9 @@ def discoverer_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 7: L_l = sum_i L_PPO{pi_l(a^i|o^i, z^i), V_l(s, Z), r^i} - lambda_l sum_i E[H(pi_l)].
 
-    As in the authors' code the sums over agents are means. The one V_l(s, Z) is fitted to the
-    returns of all agents. `entropy_coef` is lambda_l where it is not the configured constant.
+    As in the authors' code the sums over agents are means, for policy and entropy over those who
+    have a choice: not over the dead. The one V_l(s, Z) is fitted to the returns of all agents.
+    `entropy_coef` is lambda_l where it is not the configured constant.
     """
     if entropy_coef is None:
         entropy_coef = config.low_entropy_coef
@@ -121,6 +122,7 @@ def discoverer_loss(
         batch.first,
         config.num_team_skills,
     )
+    active = has_choice(batch.action_mask)
     loss, metrics = ppo_loss(
         jnp.asarray(distribution.log_prob(batch.action)),
         batch.log_prob,
@@ -129,6 +131,7 @@ def discoverer_loss(
         batch.value[..., None],
         normalize(norm, batch.target),
         config.ppo,
+        active,
     )
-    entropy = distribution.entropy().mean()
+    entropy = masked_mean(jnp.asarray(distribution.entropy()), active)
     return loss - entropy_coef * entropy, metrics | {"entropy": entropy}
