@@ -66,13 +66,22 @@ def test_mean_and_band(run):
     assert {y for x, y in corners.tolist() if x == 0.0} == {0.0, 0.5}
 
 
-def test_draws_a_result_beside_the_paper(tmp_path):
+@pytest.mark.parametrize(
+    ("metric", "scale", "label"),
+    [("success", 1, "  its final 74% ± 26% (std)"), ("return", 100, "  its final 74 ± 26 (std)")],
+)
+def test_draws_a_result_beside_another(tmp_path, monkeypatch, metric, scale, label):
+    drawn = []
+    monkeypatch.setattr(plot, "save", lambda figure, out: drawn.append(figure) or out)
+    values = (scale * np.array([[0.0, 0.5, 1.0], [0.1, 0.6, 0.9]])).tolist()
     result = tmp_path / "hmasd.json"
-    values = [[0.0, 0.5, 1.0], [0.1, 0.6, 0.9]]
-    result.write_text(json.dumps({"metric": "success", "env_steps": [0, 10, 20], "values": values}))
-    out = plot.plot_result(result, tmp_path / "result.png", plot.PAPER_ALICE_AND_BOB)
-    assert is_png(out)
-    assert is_png(plot.plot_result(result, tmp_path / "alone.png"))
+    result.write_text(json.dumps({"metric": metric, "env_steps": [0, 10, 20], "values": values}))
+    final = 0.74 * scale, 0.26 * scale
+    other = plot.Reference("paper", (5, 15), (0.2 * scale, 0.7 * scale), final)
+    plot.plot_result(result, tmp_path / "result.png", other)
+    plot.plot_result(result, tmp_path / "alone.png")
+    legends = [figure.axes[0].get_legend_handles_labels()[1] for figure in drawn]
+    assert legends == [["hmasd (2 seeds)", "paper", label], ["hmasd (2 seeds)"]]
 
 
 def test_labels_are_algorithms_only_if_they_differ(tmp_path):

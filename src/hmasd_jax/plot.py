@@ -47,15 +47,6 @@ class Reference(NamedTuple):
     """Mean and standard deviation over seeds at the end."""
 
 
-PAPER_ALICE_AND_BOB = Reference(
-    "paper, Fig. 5 (5 seeds)",
-    (0.5e6, 1.0e6, 1.3e6, 1.9e6, 2.5e6),
-    (0.21, 0.60, 0.64, 0.55, 0.79),
-    final=(0.74, 0.26),
-)
-"""HMASD's success on Alice_and_Bob, read off the figure; the final number is from the text."""
-
-
 def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
     """Draw the evaluations of one or more runs, finished or not, and how skills separated.
 
@@ -99,7 +90,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
         result: JSON file with `metric`, `env_steps` (evaluations) and `values`
             (seeds, evaluations).
         out: image to write; the suffix is its format.
-        reference: numbers to draw beside it, e.g. `PAPER_ALICE_AND_BOB`.
+        reference: numbers to draw beside it, in the units of the metric.
 
     Returns:
         `out`.
@@ -115,7 +106,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     label = f"{Path(result).stem} ({len(values)} seeds)"
     draw_curves(axes, [(steps, row) for row in values], label, COLORS[0])
     if reference is not None:
-        _draw_reference(axes, reference, steps[-1])
+        _draw_reference(axes, reference, steps[-1], percent=record["metric"] == "success")
     finish(axes, Path(result).parent.name, record["metric"], legend=True)
     return save(figure, out)
 
@@ -170,7 +161,7 @@ def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[C
     return {title: lines for title, lines in found.items() if lines}
 
 
-def _draw_reference(axes: "Axes", reference: Reference, end: float) -> None:
+def _draw_reference(axes: "Axes", reference: Reference, end: float, percent: bool) -> None:
     """Points of the reference's curve, and its final mean with standard deviation at `end`."""
     color = "#333333"
     axes.plot(
@@ -179,9 +170,10 @@ def _draw_reference(axes: "Axes", reference: Reference, end: float) -> None:
     )  # fmt: skip
     if reference.final is not None:
         mean, std = reference.final
+        written = f"{mean:.0%} ± {std:.0%}" if percent else f"{mean:.0f} ± {std:.0f}"
         axes.errorbar(
             end, mean, yerr=std, fmt="D", color=color, capsize=4, markersize=5, linewidth=1,
-            label=f"  its final {mean:.0%} ± {std:.0%} (std)",
+            label=f"  its final {written} (std)",
         )  # fmt: skip
 
 
