@@ -44,7 +44,7 @@ TASKS = {
     ),
     "overcooked/cramped_room": Task(
         "236 ± 8",
-        236,
+        200,  # below the worst of the paper's five, 220 if four have 240
         Reference("paper, Fig. 7 (5 seeds)", (3e6, 4.5e6), (94, 213), final=(236, 8)),
     ),
     "overcooked/asymmetric_advantages": Task("295 ± 85", 295),
