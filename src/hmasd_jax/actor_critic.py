@@ -1,6 +1,6 @@
 """One actor for all agents and a centralized critic: MAPPO, and the skill discoverer of HMASD."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import distrax
 import jax.numpy as jnp
@@ -8,6 +8,9 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.networks import apply, mask_logits
+from hmasd_jax.ppo import PPOConfig, has_choice, masked_mean, ppo_loss
+from hmasd_jax.types import Metrics
+from hmasd_jax.value_norm import ValueNorm, normalize
 
 
 class ActorCritic(NamedTuple):
@@ -50,3 +53,34 @@ def state_value(
     """V(s) at every step, in normalized units; `condition` may be a skill."""
     memory, value = apply(network, params, memory, state, first, condition)
     return memory, value[..., 0]
+
+
+def agents_loss(
+    distribution: distrax.Categorical,
+    value: Float[Array, "*batch #N"],
+    batch: Any,
+    norm: ValueNorm,
+    config: PPOConfig,
+    entropy_coef: float | Float[Array, ""],
+) -> tuple[Float[Array, ""], Metrics]:
+    """L_PPO (Eq. 5) of all agents, less their weighted entropy.
+
+    Policy loss and entropy are means over the agents that have a choice, which the dead have not;
+    the value loss is of all.
+
+    Args:
+        distribution: of the actions, under the parameters that learn.
+        value: of the critic that learns, in normalized units.
+        batch: what was done: `action`, `action_mask`, `log_prob`, `advantage` (*batch, N), and
+            `value` (normalized units) and `target` (reward units), which broadcast with `value`.
+        norm: the critic's units.
+        config: clip range, value coefficient and Huber threshold.
+        entropy_coef: weight of the entropy.
+    """
+    active = has_choice(batch.action_mask)
+    loss, metrics = ppo_loss(
+        jnp.asarray(distribution.log_prob(batch.action)), batch.log_prob, batch.advantage,
+        value, batch.value, normalize(norm, batch.target), config, active,
+    )  # fmt: skip
+    entropy = masked_mean(jnp.asarray(distribution.entropy()), active)
+    return loss - entropy_coef * entropy, metrics | {"entropy": entropy}

@@ -20,16 +20,17 @@ from hmasd_jax.actor_critic import (
     ActorCritic,
     ActorCriticMemory,
     action_distribution,
+    agents_loss,
     state_value,
 )
 from hmasd_jax.baselines import MAPPOConfig
 from hmasd_jax.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.networks import FeedForwardNet, RecurrentNet
-from hmasd_jax.ppo import has_choice, masked_mean, ppo_loss
+from hmasd_jax.ppo import has_choice
 from hmasd_jax.sgd import make_optimizer, ppo_epochs
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, StepFn, Transition
-from hmasd_jax.value_norm import ValueNorm, normalize
+from hmasd_jax.value_norm import ValueNorm
 
 __all__ = ["MAPPOConfig", "MAPPOState", "make_mappo"]
 
@@ -253,13 +254,8 @@ def mappo_loss(
     _, value = state_value(
         parts.networks.critic, params["critic"], batch.memory.critic, batch.state, first
     )
-    active = has_choice(batch.action_mask)
-    loss, metrics = ppo_loss(
-        jnp.asarray(distribution.log_prob(batch.action)), batch.log_prob, batch.advantage,
-        value, batch.value, normalize(norm, batch.target), parts.config.ppo, active,
-    )  # fmt: skip
-    entropy = masked_mean(jnp.asarray(distribution.entropy()), active)
-    return loss - parts.config.entropy_coef * entropy, metrics | {"entropy": entropy}
+    config = parts.config
+    return agents_loss(distribution, value, batch, norm, config.ppo, config.entropy_coef)
 
 
 def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metrics]:

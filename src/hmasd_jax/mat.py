@@ -18,10 +18,11 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax import rollout as rollouts
+from hmasd_jax.actor_critic import agents_loss
 from hmasd_jax.baselines import MATConfig
 from hmasd_jax.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.networks import RELU_GAIN, LayerNorm, apply, dense, mask_logits
-from hmasd_jax.ppo import has_choice, masked_mean, ppo_loss
+from hmasd_jax.ppo import has_choice
 from hmasd_jax.sgd import make_optimizer, ppo_epochs
 from hmasd_jax.transformer import (
     DecoderBlock,
@@ -32,7 +33,7 @@ from hmasd_jax.transformer import (
     gelu,
 )
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, Transition
-from hmasd_jax.value_norm import ValueNorm, normalize
+from hmasd_jax.value_norm import ValueNorm
 
 __all__ = ["MATConfig", "MATState", "make_mat"]
 
@@ -217,13 +218,8 @@ def mat_loss(
     """
     logits, value = apply(parts.network, params, batch.obs, batch.action_mask, batch.action)
     distribution = distrax.Categorical(logits=logits)
-    active = has_choice(batch.action_mask)
-    loss, metrics = ppo_loss(
-        jnp.asarray(distribution.log_prob(batch.action)), batch.log_prob, batch.advantage,
-        value, batch.value, normalize(norm, batch.target), parts.config.ppo, active,
-    )  # fmt: skip
-    entropy = masked_mean(jnp.asarray(distribution.entropy()), active)
-    return loss - parts.config.entropy_coef * entropy, metrics | {"entropy": entropy}
+    config = parts.config
+    return agents_loss(distribution, value, batch, norm, config.ppo, config.entropy_coef)
 
 
 def train_iteration(parts: Parts, state: MATState) -> tuple[MATState, Metrics]:

@@ -10,13 +10,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax import actor_critic
-from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory
+from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory, agents_loss
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks import RecurrentNet
-from hmasd_jax.ppo import has_choice, masked_mean, ppo_loss
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Metrics
-from hmasd_jax.value_norm import ValueNorm, normalize
+from hmasd_jax.value_norm import ValueNorm
 
 
 class LowBatch(NamedTuple):
@@ -122,16 +121,5 @@ def discoverer_loss(
         batch.first,
         config.num_team_skills,
     )
-    active = has_choice(batch.action_mask)
-    loss, metrics = ppo_loss(
-        jnp.asarray(distribution.log_prob(batch.action)),
-        batch.log_prob,
-        batch.advantage,
-        value[..., None],
-        batch.value[..., None],
-        normalize(norm, batch.target),
-        config.ppo,
-        active,
-    )
-    entropy = masked_mean(jnp.asarray(distribution.entropy()), active)
-    return loss - entropy_coef * entropy, metrics | {"entropy": entropy}
+    batch = batch._replace(value=batch.value[..., None])  # one for all agents
+    return agents_loss(distribution, value[..., None], batch, norm, config.ppo, entropy_coef)
