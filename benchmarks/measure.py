@@ -83,10 +83,10 @@ def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
     return Timing(median, statistics.median(cpus), (max(walls) - min(walls)) / median)
 
 
-def compiled(function: Callable, *args: Any) -> tuple[Callable, float]:
+def compiled(function: Callable, *args: Any, runs_once: bool = False) -> tuple[Callable, float]:
     """The executable of `function` for `args`, and the seconds that tracing and compiling took."""
     start = time.perf_counter()
-    executable = programs.build_executable(jax.jit(function).lower(*args))
+    executable = programs.build_executable(jax.jit(function), *args, runs_once=runs_once)
     return executable, time.perf_counter() - start
 
 

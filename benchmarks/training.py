@@ -68,7 +68,7 @@ def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
     config = settings(env, algorithm, quick)
     env_steps = config.env_steps_per_update
     _, learner = configs.build(config)
-    init, init_s = compiled(learner.init, jax.random.key(0))
+    init, init_s = compiled(learner.init, jax.random.key(0), runs_once=True)
     state = init(jax.random.key(0))
     rows = [Row("init", env, algorithm, seeds=1, compile_s=init_s, peak_rss_mb=peak_rss_mb())]
     ceiling = ceiling_gflops(repeats)

@@ -1,5 +1,6 @@
 """The compiled functions of a run. All of them take a batch of seeds on the first axis."""
 
+import gc
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, Literal, NamedTuple
@@ -87,29 +88,40 @@ def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -
         return evaluate(env, algorithm.policy(state, greedy=True), key, config.eval_episodes)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    init = jax.jit(batched(algorithm.init, num_seeds, layout)).lower(keys)
-    states = init.out_info
+    init_seeds = jax.jit(batched(algorithm.init, num_seeds, layout))
+    states = jax.eval_shape(init_seeds, keys)
     count = jax.ShapeDtypeStruct((), jnp.int32)
     advance_seeds = jax.jit(batched(advance, num_seeds, layout, (0, None)), donate_argnums=0)
     evaluate_seeds = jax.jit(batched(play, num_seeds, layout, (0, 0)))
     programs = (
-        build_executable(init),
-        build_executable(advance_seeds.lower(states, count)),
-        build_executable(evaluate_seeds.lower(states, keys)),
+        build_executable(init_seeds, keys, runs_once=True),
+        build_executable(advance_seeds, states, count),
+        build_executable(evaluate_seeds, states, keys),
     )
     memory = max(_memory_bytes(program) for program in programs)
     return Programs(num_seeds, *programs, memory, time.perf_counter() - start)
 
 
-def build_executable(lowered: jax.stages.Lowered) -> jax.stages.Compiled:
-    """Compile; on a CPU at LLVM's first level of optimization instead of its last.
+def build_executable(
+    function: jax.stages.Wrapped, *args: Any, runs_once: bool = False
+) -> jax.stages.Compiled:
+    """Trace and compile a jitted function, in little time where that does not make it slower.
 
-    What it makes is as fast, and for HMASD's `init` it takes two thirds of the time.
+    On a CPU at LLVM's first level of optimization instead of its last, which takes two thirds of
+    the time for HMASD's `init`. What runs once is not optimized at all. The garbage that tracing
+    leaves is collected afterwards: looking for it all the time takes a fourth of the tracing.
     """
     options: dict[str, str | bool] = {}
     if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
-        options["xla_backend_optimization_level"] = "1"
-    return lowered.compile(options)
+        options["xla_backend_optimization_level"] = "0" if runs_once else "1"
+        options["xla_cpu_use_fusion_emitters"] = not runs_once
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return function.lower(*args).compile(options)
+    finally:
+        if collects:
+            gc.enable()
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
