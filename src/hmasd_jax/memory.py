@@ -1,5 +1,6 @@
 """How much of a sweep fits into memory at once."""
 
+import ctypes
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -8,6 +9,23 @@ import jax
 
 WORKER_BYTES = 2 * 2**30
 """What a worker holds at its peak, while it compiles (1.9 GiB measured for HMASD)."""
+
+M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
+"""Of <malloc.h>: how much free memory goes back to the system, and how many blocks bypass it."""
+
+
+def keep_freed() -> None:
+    """Make this process keep the memory that it frees, where it uses GNU's C library.
+
+    XLA asks for a program's temporary arrays at every call, and fresh memory from the system comes
+    page by page, each cleared: 5 % of the time of HMASD's update. The peak stays what it was.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (AttributeError, OSError, TypeError):  # another C library
+        return
+    mallopt(M_TRIM_THRESHOLD, -1)
+    mallopt(M_MMAP_MAX, 0)
 
 
 def available_bytes() -> float:

@@ -139,6 +139,7 @@ def pin(core: int) -> None:
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
     jax.config.update("jax_platforms", "cpu")
+    memory.keep_freed()
 
 
 def work(pipe: Connection, run: Path, config: dict, extras: tuple[str, ...], core: int) -> None:
