@@ -87,7 +87,5 @@ def normalize_advantage(
     Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs, and takes
     both from the agents that are `active`.
     """
-    if active is None:
-        return (advantage - advantage.mean()) / (advantage.std() + 1e-5)
     deviation = advantage - masked_mean(advantage, active)
     return deviation / (jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5)
