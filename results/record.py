@@ -11,7 +11,10 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hmasd_jax import logging, run_folder
+from hmasd_jax.figures import colors, draw_curves, finish, new_figure, save
 from hmasd_jax.plot import Reference, plot_result
 from hmasd_jax.statistics import last_evaluations, summarize
 from hmasd_jax.summary import LAST, main_metric
@@ -23,17 +26,17 @@ PAGE = ROOT / "docs" / "results.md"
 class Task(NamedTuple):
     """One task of the paper, in the units of the page: percent of success, or the return."""
 
-    paper: str
-    """HMASD's mean and standard deviation over the paper's five seeds."""
+    paper: dict[str, str]
+    """Each algorithm's mean and standard deviation over the paper's five seeds."""
     bar: float
     """What a seed must reach to count as one that learned."""
     reference: Reference | None = None
-    """The paper's curve, read off its figures; final numbers from the text where it has them."""
+    """The paper's HMASD, read off its figures; final numbers from the text where it has them."""
 
 
 TASKS = {
     "alice_and_bob": Task(
-        "74 ± 26",
+        {"hmasd": "74 ± 26", "mappo": "0", "mat": "40 ± 49"},
         90,
         Reference(
             "paper, Fig. 5 (5 seeds)",
@@ -43,14 +46,16 @@ TASKS = {
         ),
     ),
     "overcooked/cramped_room": Task(
-        "236 ± 8",
+        {"hmasd": "236 ± 8", "mappo": "180 ± 90", "mat": "168 ± 88"},
         200,  # below the worst of the paper's five, 220 if four have 240
         Reference("paper, Fig. 7 (5 seeds)", (3e6, 4.5e6), (94, 213), final=(236, 8)),
     ),
-    "overcooked/asymmetric_advantages": Task("295 ± 85", 295),
-    "overcooked/coordination_ring": Task("80 ± 98", 80),
+    "overcooked/asymmetric_advantages": Task(
+        {"hmasd": "295 ± 85", "mappo": "52 ± 104", "mat": "86 ± 112"}, 295
+    ),
+    "overcooked/coordination_ring": Task({"hmasd": "80 ± 98", "mappo": "0", "mat": "0"}, 80),
     "micro_battle/3m": Task(
-        "80 ± 40",
+        {"hmasd": "80 ± 40", "mappo": "0", "mat": "0"},
         80,
         Reference(
             "paper, Fig. 6 (5 seeds, StarCraft II)",
@@ -59,8 +64,8 @@ TASKS = {
             final=(0.8, 0.4),
         ),
     ),
-    "micro_battle/2s_vs_1sc": Task("60 (Fig. 6)", 80),
-    "micro_battle/2m_vs_1z": Task("40 (Fig. 6)", 80),
+    "micro_battle/2s_vs_1sc": Task({"hmasd": "60 ± 49", "mappo": "0", "mat": "0"}, 80),
+    "micro_battle/2m_vs_1z": Task({"hmasd": "40 ± 49", "mappo": "0", "mat": "0"}, 80),
 }
 
 HEAD = """# Results
@@ -108,6 +113,22 @@ def record(run: Path) -> dict[str, Any]:
     }
 
 
+def algorithm_of(path: Path) -> str:
+    """What the name of a recorded run begins with; `hmasd` for `hmasd_robust.json`."""
+    return path.stem.partition("_")[0]
+
+
+def draw_together(paths: list[Path], out: Path) -> None:
+    """Draw the curves of several recorded runs on one task."""
+    figure, axes, _ = new_figure(panels=False)
+    for path, color in zip(paths, colors(len(paths))):
+        kept = json.loads(path.read_text())
+        curves = [(np.array(kept["env_steps"]), np.array(values)) for values in kept["values"]]
+        draw_curves(axes, curves, f"{path.stem} ({len(curves)} seeds)", color)
+    finish(axes, out.parent.name, kept["metric"], legend=True)
+    save(figure, out)
+
+
 def row(path: Path, task: Task) -> str:
     """One line of the table."""
     kept = json.loads(path.read_text())
@@ -118,7 +139,7 @@ def row(path: Path, task: Task) -> str:
         f"[{path.stem}](../{path.relative_to(ROOT)})",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
-        task.paper if path.stem.startswith("hmasd") else "",
+        task.paper[algorithm_of(path)],
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
@@ -137,8 +158,12 @@ def page() -> str:
             continue
         rows = [row(path, task) for path in files]
         commands = [f"    {json.loads(path.read_text())['command']}" for path in files]
+        if len(files) > 1:
+            draw_together(files, ROOT / "results" / name / "compared.png")
         images = [
-            f"![{path.stem}](../{path.relative_to(ROOT).with_suffix('.png')})" for path in files
+            f"![{image.stem}](../{image.relative_to(ROOT)})"
+            for image in sorted((ROOT / "results" / name).glob("*.png"))
+            if image.stem == "compared" or image.with_suffix(".json") in files
         ]
         rule = "|---" * COLUMNS.count(" | ") + "|---|"
         columns = COLUMNS.format(bar=f"{task.bar:g}")
@@ -155,7 +180,8 @@ def main(arguments: list[str]) -> None:
             raise SystemExit(f"no task is called {task!r}; choose from {', '.join(TASKS)}")
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(record(run)) + "\n")
-        plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
+        reference = TASKS[task].reference if algorithm_of(out) == "hmasd" else None
+        plot_result(out, out.with_suffix(".png"), reference)
     PAGE.write_text(page())
 
 
