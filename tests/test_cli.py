@@ -95,6 +95,15 @@ def test_help_explains_every_field(capsys):
     assert "(default: 7)" in words
 
 
+def test_help_explains_by_its_name_what_may_be_an_object(capsys):
+    assert (
+        main(["train", "--help", "--env.name", "micro_battle", "--env.scenario", "2m_vs_1z"]) == 0
+    )
+    text = capsys.readouterr().out
+    assert "--env.scenario NAME" in text
+    assert "(default: 2m_vs_1z)" in " ".join(re.sub(r"[│\n]", " ", text).split())
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_has_help(command, capsys):
     assert main([command, "--help"]) == 0

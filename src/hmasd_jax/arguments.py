@@ -9,10 +9,11 @@ import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import tyro
 from tyro.conf import Positional
+from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.settings import ConfigError, Flag, Text, check_range, from_table, suggest
@@ -233,7 +234,7 @@ def write_help(command: str, summary: str, cls: type, settings: TrainConfig | No
         fields.append(("settings", Annotated[tyro.conf.FlagConversionOff[types], no_prefix]))
         defaults["settings"] = settings
     arguments = dataclasses.make_dataclass("Arguments", fields, frozen=True)
-    with contextlib.suppress(SystemExit):
+    with contextlib.suppress(SystemExit), _named_objects():
         tyro.cli(
             arguments,
             default=arguments(**defaults),
@@ -241,6 +242,25 @@ def write_help(command: str, summary: str, cls: type, settings: TrainConfig | No
             prog=f"python -m hmasd_jax.train {command}",
             description=summary,
         )
+
+
+def _named_objects() -> ConstructorRegistry:
+    """Explains what is a name or an object, as a scenario, by its name only."""
+    registry = ConstructorRegistry()
+
+    @registry.primitive_rule
+    def by_name(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
+        if str not in get_args(info.type):
+            return None
+        return PrimitiveConstructorSpec(
+            nargs=1,
+            metavar="NAME",
+            instance_from_str=lambda words: words[0],
+            is_instance=lambda value: isinstance(value, str),
+            str_from_instance=lambda value: [value],
+        )
+
+    return registry
 
 
 def _is_required(option: dataclasses.Field) -> bool:
