@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import envs_jax
+from hmasd_jax import run_folder
 
 COPIES = 1000
 TASKS = {
@@ -94,7 +95,8 @@ def main() -> None:
     """Play, print and write."""
     path = Path(__file__).with_name("random_play.json")
     for task in sys.argv[1:] or TASKS:
-        row = {"command": f"python results/random_play.py '{task}'"} | measure(*TASKS[task])
+        about = run_folder.describe(["python", "results/random_play.py", task])
+        row = about | measure(*TASKS[task])
         print(task, row, flush=True)
         rows = json.loads(path.read_text()) if path.exists() else {}
         path.write_text(json.dumps(rows | {task: row}, indent=2) + "\n")

@@ -14,6 +14,7 @@ from pathlib import Path
 import jax
 import numpy as np
 
+from envs_jax.battle_views import FIRST_ATTACK
 from hmasd_jax import rollout, run_folder
 from hmasd_jax.policy import load_run
 
@@ -36,7 +37,7 @@ def look(run: Path, seed: int, skill: int) -> dict:
 
     played = jax.device_get(play(jax.random.key(1)))
     mask, action = played.timestep.action_mask, played.action
-    alive, armed = ~mask[..., 0], mask[..., 6:].any(-1)
+    alive, armed = ~mask[..., 0], mask[..., FIRST_ATTACK:].any(-1)
     over = played.outcome.done
     return {
         "seed": seed,
@@ -44,7 +45,9 @@ def look(run: Path, seed: int, skill: int) -> dict:
         "env_steps": trained.env_steps,
         "episodes": int(over.sum()),
         "wins": float(played.outcome.reward.sum() / over.sum()),
-        "enemies_killed": float(3 - played.outcome.info["enemies_alive"][over].mean()),
+        "enemies_killed": float(
+            len(env.layout.enemies) - played.outcome.info["enemies_alive"][over].mean()
+        ),
         "episode_length": float(over.size / over.sum()),
         "share_in_range": float((armed & alive).sum() / alive.sum()),
         "out_of_range": _shares(action[alive & ~armed]),
@@ -54,8 +57,8 @@ def look(run: Path, seed: int, skill: int) -> dict:
 
 def _shares(actions: np.ndarray) -> dict[str, float]:
     """Of each kind of action; attacks on any enemy together."""
-    counts = np.bincount(actions, minlength=7)
-    counts = np.append(counts[1:6], counts[6:].sum()) / max(len(actions), 1)
+    counts = np.bincount(actions, minlength=FIRST_ATTACK + 1)
+    counts = np.append(counts[1:FIRST_ATTACK], counts[FIRST_ATTACK:].sum()) / max(len(actions), 1)
     return dict(zip((*ACTIONS, "attack"), np.round(counts, 3).tolist()))
 
 
@@ -64,7 +67,9 @@ def main() -> None:
     run, out = map(Path, sys.argv[1:])
     num_skills = run_folder.read_config(run).algorithm.num_skills
     rows = [look(run, seed, z) for seed in run_folder.seeds_of(run) for z in range(num_skills)]
-    out.write_text("[\n" + ",\n".join(map(json.dumps, rows)) + "\n]\n")
+    about = run_folder.describe(["python", *sys.argv])
+    about["run"] = json.loads((run / "run.json").read_text())
+    out.write_text(json.dumps(about | {"rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

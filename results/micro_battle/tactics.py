@@ -2,7 +2,7 @@
 
 python results/micro_battle/tactics.py
 
-Writes tactics.json beside this file: one row per scenario, balance, tactic, share of random actions
+Writes tactics.json beside this file: what made it, and one row per scenario, balance, tactic, share of random actions
 and distance up to which units start off their places.
 """
 
@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from envs_jax import micro_battle
+from hmasd_jax import run_folder
 
 EPISODES = 4000
 TESTS = Path(__file__).parents[2] / "tests" / "envs"
@@ -55,8 +56,9 @@ def main() -> None:
             }
         )
         print(rows[-1], flush=True)
+    about = run_folder.describe(["python", "results/micro_battle/tactics.py"])
     out = Path(__file__).with_name("tactics.json")
-    out.write_text(json.dumps(rows, indent=1) + "\n")
+    out.write_text(json.dumps(about | {"rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":
