@@ -2,8 +2,8 @@
 
 python results/micro_battle/tactics.py
 
-Writes tactics.json beside this file: what made it, and one row per scenario, balance, tactic, share of random actions
-and distance up to which units start off their places.
+Writes tactics.json beside this file: what made it, and one row per scenario, balance, tactic, share
+of random actions and distance up to which units start off their places.
 """
 
 import json
