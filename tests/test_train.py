@@ -1,6 +1,5 @@
 import dataclasses
 import json
-import math
 import os
 import runpy
 import subprocess
@@ -251,20 +250,6 @@ def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch
     results = train_seeds(job._replace(should_stop=lambda: next(asked)), [0, 1, 2])
     assert [results[seed].kind for seed in range(3)] == ["finished", "finished", "interrupted"]
     assert not metrics_path(job.run, 2).exists()
-
-
-@pytest.mark.parametrize(
-    ("free", "size"), [(math.inf, 10), (1000, 10), (999, 5), (499, 4), (150, 1), (1, 1)]
-)
-def test_seeds_are_dealt_into_even_batches_that_fit(free, size, monkeypatch):
-    monkeypatch.setattr(memory, "available_bytes", lambda: free)
-    assert memory.seeds_at_once(10, lambda n: 100 * n) == size
-
-
-def test_workers_are_no_more_than_fit_into_memory(monkeypatch):
-    for free, expected in ((math.inf, 8), (5 * memory.WORKER_BYTES, 5), (1, 1)):
-        monkeypatch.setattr(memory, "available_host_bytes", lambda free=free: free)
-        assert memory.workers_at_once(8) == expected
 
 
 def test_tensorboard_files_on_request(tmp_path):
