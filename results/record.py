@@ -11,11 +11,9 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hmasd_jax import logging, run_folder
-from hmasd_jax.figures import colors, draw_curves, finish, new_figure, save
-from hmasd_jax.plot import Reference, plot_result
+from hmasd_jax.figures import draw_groups
+from hmasd_jax.plot import Reference, plot_result, recorded_curves
 from hmasd_jax.statistics import last_evaluations, summarize
 from hmasd_jax.summary import LAST, main_metric
 
@@ -113,20 +111,14 @@ def record(run: Path) -> dict[str, Any]:
     }
 
 
+def recorded(task: str) -> list[Path]:
+    """What there is on a task."""
+    return sorted((ROOT / "results" / task).glob("*.json"))
+
+
 def algorithm_of(path: Path) -> str:
     """What the name of a recorded run begins with; `hmasd` for `hmasd_robust.json`."""
     return path.stem.partition("_")[0]
-
-
-def draw_together(paths: list[Path], out: Path) -> None:
-    """Draw the curves of several recorded runs on one task."""
-    figure, axes, _ = new_figure(panels=False)
-    for path, color in zip(paths, colors(len(paths))):
-        kept = json.loads(path.read_text())
-        curves = [(np.array(kept["env_steps"]), np.array(values)) for values in kept["values"]]
-        draw_curves(axes, curves, f"{path.stem} ({len(curves)} seeds)", color)
-    finish(axes, out.parent.name, kept["metric"], legend=True)
-    save(figure, out)
 
 
 def row(path: Path, task: Task) -> str:
@@ -139,7 +131,7 @@ def row(path: Path, task: Task) -> str:
         f"[{path.stem}](../{path.relative_to(ROOT)})",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
-        task.paper[algorithm_of(path)],
+        task.paper.get(algorithm_of(path), ""),
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
@@ -153,13 +145,12 @@ def page() -> str:
     """docs/results.md."""
     parts = [HEAD.format(last=LAST)]
     for name, task in TASKS.items():
-        files = sorted((ROOT / "results" / name).glob("*.json"))
+        files = recorded(name)
         if not files:
             continue
         rows = [row(path, task) for path in files]
-        commands = [f"    {json.loads(path.read_text())['command']}" for path in files]
-        if len(files) > 1:
-            draw_together(files, ROOT / "results" / name / "compared.png")
+        kept = (json.loads(path.read_text()) for path in files)
+        commands = dict.fromkeys(f"    {result['command']}" for result in kept)
         images = [
             f"![{image.stem}](../{image.relative_to(ROOT)})"
             for image in sorted((ROOT / "results" / name).glob("*.png"))
@@ -182,6 +173,14 @@ def main(arguments: list[str]) -> None:
         out.write_text(json.dumps(record(run)) + "\n")
         reference = TASKS[task].reference if algorithm_of(out) == "hmasd" else None
         plot_result(out, out.with_suffix(".png"), reference)
+        if len(files := recorded(task)) > 1:
+            metric = json.loads(out.read_text())["metric"]
+            draw_groups(
+                [recorded_curves(path) for path in files],
+                out.parent.name,
+                metric,
+                out.with_name("compared.png"),
+            )
     PAGE.write_text(page())
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from rich.table import Table
 
 from envs_jax.optional import require
-from hmasd_jax.figures import Curve, colors, common_steps, draw_curves, finish, new_figure, save
+from hmasd_jax.figures import Curve, common_steps, draw_groups
 from hmasd_jax.plot import labels_of, read_evaluations
 from hmasd_jax.run_folder import RunError
 from hmasd_jax.statistics import (
@@ -47,11 +47,7 @@ class Comparison(NamedTuple):
     def draw(self, out: Path) -> Path:
         """Draw the curves with their intervals; returns `out`."""
         require("matplotlib", "plots", "plotting")
-        figure, axes, _ = new_figure(panels=False)
-        for label, curves, color in zip(self.labels, self.curves, colors(len(self.labels))):
-            draw_curves(axes, curves, label, color)
-        finish(axes, self.task, self.metric, legend=True)
-        return save(figure, out)
+        return draw_groups(list(zip(self.labels, self.curves)), self.task, self.metric, out)
 
 
 def compare_runs(

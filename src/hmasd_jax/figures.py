@@ -55,6 +55,21 @@ def draw_curves(axes: "Axes", curves: Sequence[Curve], label: str, color: str) -
     axes.plot(steps, values.mean(axis=0), color=color, linewidth=2.2, label=label)
 
 
+def draw_groups(
+    groups: Sequence[tuple[str, Sequence[Curve]]], title: str, metric: str, out: Path
+) -> Path:
+    """Draw groups of curves, each under its label and in its color, into one panel.
+
+    Raises:
+        RunError: `out` cannot be written.
+    """
+    figure, axes, _ = new_figure(panels=False)
+    for (label, curves), color in zip(groups, colors(len(groups))):
+        draw_curves(axes, curves, label, color)
+    finish(axes, title, metric, legend=True)
+    return save(figure, out)
+
+
 def finish(axes: "Axes", title: str, metric: str | None, legend: bool = False) -> None:
     """Titles, units and quiet decoration; fractions are shown in percent."""
     from matplotlib.ticker import EngFormatter, PercentFormatter

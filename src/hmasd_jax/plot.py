@@ -100,15 +100,22 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     """
     require("matplotlib", "plots", "plotting")
     record = json.loads(Path(result).read_text())
-    steps = np.asarray(record["env_steps"], float)
-    values = np.asarray(record["values"], float)
+    label, curves = recorded_curves(result)
     figure, axes, _ = new_figure(panels=False)
-    label = f"{Path(result).stem} ({len(values)} seeds)"
-    draw_curves(axes, [(steps, row) for row in values], label, COLORS[0])
+    draw_curves(axes, curves, label, COLORS[0])
     if reference is not None:
-        _draw_reference(axes, reference, steps[-1], percent=record["metric"] == "success")
+        end = record["env_steps"][-1]
+        _draw_reference(axes, reference, end, percent=record["metric"] == "success")
     finish(axes, Path(result).parent.name, record["metric"], legend=True)
     return save(figure, out)
+
+
+def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
+    """Name and evaluations of a recorded result, one curve per seed."""
+    record = json.loads(Path(result).read_text())
+    steps = np.asarray(record["env_steps"], float)
+    curves = [(steps, np.asarray(values, float)) for values in record["values"]]
+    return f"{Path(result).stem} ({len(curves)} seeds)", curves
 
 
 def read_evaluations(run: Path, metric: str) -> list[Curve]:
