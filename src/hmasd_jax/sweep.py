@@ -133,7 +133,7 @@ def _death(worker: Worker) -> Event:
 
 
 def pin(core: int) -> None:
-    """Compute on one core of the processor, in one thread; before JAX computes anything."""
+    """Compute on one core, in one thread, keeping freed memory; before JAX computes anything."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     flags = os.environ.get("XLA_FLAGS", "")
