@@ -68,8 +68,8 @@ def test_the_discoverer_learns_to_remember_a_cue_from_the_team_reward():
 @pytest.mark.parametrize("env", [HiddenCue(), DifferentActions()], ids=lambda e: type(e).__name__)
 def test_the_coordinator_learns_to_lead_obedient_agents(env):
     # At most 1 a step, and 1/2 on average if skills do not depend on the state (first task) or
-    # not on the skills before them (second task). Without the guard, it falls back after rollouts in
-    # which all is right: every segment is paid the same, and normalized advantages are noise.
+    # not on the skills before them (second task). Without the guard it falls back after perfect
+    # rollouts: every segment is paid the same, and normalized advantages are noise.
     config = _config(learning_rate=1e-3, high_entropy_coef=0.05, zero_reward_guard=True)
     metrics = _train(env, config, obedient=True)
     assert metrics["team_reward"][:5].mean() < 0.6
