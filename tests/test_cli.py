@@ -1,4 +1,5 @@
 import importlib.util
+import os
 import re
 import subprocess
 import sys
@@ -135,3 +136,12 @@ def test_exit_code_of_the_process():
     done = run("train", "--seed", "x")
     assert done.returncode == 2
     assert done.stderr == "error: seed must be a whole number, got 'x'\n"
+
+
+def test_a_reader_of_the_help_may_leave_early():
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "hmasd_jax.train", "train", "--help"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,5 +1,6 @@
 """`python -m hmasd_jax.train COMMAND`: the command line."""
 
+import os
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -60,11 +61,12 @@ def main(words: list[str] | None = None) -> int:
     try:
         if name not in COMMANDS:
             raise ConfigError(f"unknown command {name!r}{suggest(name, COMMANDS)}")
-        if wants_help:
-            return _help(name, rest)
-        return _run(name, rest)
+        return _help(name, rest) if wants_help else _run(name, rest)
     except ConfigError as error:
         return _complain(error)
+    except BrokenPipeError:  # the reader has seen enough, as in `--help | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 def usage() -> str:
