@@ -11,12 +11,12 @@ from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.discriminators import (
     Discriminators,
     SkillPair,
+    center,
     discriminator_loss,
     log_q,
     log_q_of_skills,
     make_discriminators,
     observe,
-    standardize,
 )
 from hmasd_jax.ppo import PPOConfig
 
@@ -114,14 +114,19 @@ def test_a_single_team_skill_costs_and_teaches_nothing():
     np.testing.assert_array_equal(team, 0.0)
 
 
-def test_noise_is_independent_and_of_the_given_scale():
-    pair = SkillPair(jnp.zeros((200, 50)), jnp.ones((200, 2, 25)), jnp.zeros((200, 3), int))
+def test_noise_is_independent_and_of_a_scale_drawn_for_each_sample():
+    pair = SkillPair(jnp.zeros((500, 40)), jnp.ones((500, 2, 40)), jnp.zeros((500, 3), int))
     noisy = observe(pair, HMASDConfig(discriminator_noise=2.0), jax.random.key(0))
-    state, obs = np.asarray(noisy.state).ravel(), np.asarray(noisy.obs).ravel() - 1.0
-    for noise in (state, obs):  # 10,000 draws: mean 0 +- 0.02, standard deviation 2 +- 0.014
-        assert abs(noise.mean()) < 0.08
-        assert abs(noise.std() - 2.0) < 0.06
-    assert abs(np.corrcoef(state, obs)[0, 1]) < 0.04
+    state, obs = np.asarray(noisy.state), np.asarray(noisy.obs) - 1.0
+    for noise in (state, obs):
+        assert abs(noise.mean()) < 0.05
+        # Deviations uniform on [0, 2], each known to 11 %: mean 1, deviation 2 / sqrt(12).
+        scale = noise.std(-1).ravel()
+        assert abs(scale.mean() - 1.0) < 0.08
+        assert abs(scale.std() - 0.58) < 0.06
+        assert scale.max() < 2.8
+    assert abs(np.corrcoef(obs[:, 0].std(-1), obs[:, 1].std(-1))[0, 1]) < 0.2
+    assert abs(np.corrcoef(state.ravel(), obs[:, 0].ravel())[0, 1]) < 0.04
     assert noisy.skills is pair.skills
 
 
@@ -131,12 +136,17 @@ def test_without_options_the_discriminators_see_everything_as_it_is():
     assert seen.obs is PAIR.obs
 
 
-def test_standardized_features_by_hand():
-    # Mean 3 and variance 4 over samples and agents; a constant feature becomes 0, not noise.
-    x = jnp.array([[[1.0, 7.0], [5.0, 7.0]], [[1.0, 7.0], [5.0, 7.0]]])
-    expected = np.array([[[-2.0, 0.0], [2.0, 0.0]]] * 2) / np.sqrt(4.01)
-    assert_allclose(standardize(x), expected, rtol=1e-6)
+def test_centered_features_by_hand():
+    # Means 3, 7 and 0 over samples and agents; variances 4, 0 and 2, on average 2.
+    x = jnp.array([[[1.0, 7.0, -2.0], [5.0, 7.0, 0.0]], [[1.0, 7.0, 2.0], [5.0, 7.0, 0.0]]])
+    expected = (x - jnp.array([3.0, 7.0, 0.0])) / np.sqrt(2.0)
+    assert_allclose(center(x), expected, rtol=1e-6)
+    assert_allclose(center(100.0 * x), expected, rtol=1e-6)
     pair = PAIR._replace(obs=x)
-    seen = observe(pair, HMASDConfig(discriminator_standardize=True), jax.random.key(0))
+    seen = observe(pair, HMASDConfig(discriminator_center=True), jax.random.key(0))
     assert_allclose(seen.obs, expected, rtol=1e-6)
-    assert_allclose(seen.state, np.array([[-1.0, -1.0], [1.0, 1.0]]) / np.sqrt(1.01), rtol=1e-6)
+    assert_allclose(seen.state, [[-1.0, -1.0], [1.0, 1.0]], rtol=1e-6)
+
+
+def test_what_never_changes_is_centered_to_nothing():
+    np.testing.assert_array_equal(center(jnp.full((4, 3), 7.0)), 0.0)

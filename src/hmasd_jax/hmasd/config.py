@@ -40,14 +40,15 @@ class HMASDConfig:
     Overcooked, `input` for SMAC."""
     discriminator_epochs: int = 15
     """Gradient steps on the discriminators per rollout, each on all of it."""
-    discriminator_standardize: bool = False
-    """Whether the discriminators see each feature of obs and state with mean 0 and deviation 1 over
-    the rollout. Without it (the paper), their input LayerNorm drowns places where all features are
-    small, such as a corner at (1, 1) in raw coordinates."""
+    discriminator_center: bool = False
+    """Whether the discriminators see obs and state with each feature's mean over the rollout at 0,
+    and all features divided by one deviation. Without it (the paper), their input LayerNorm drowns
+    places where all features are small, such as a corner at (1, 1) in raw coordinates."""
     discriminator_noise: float = 0.0
-    """Standard deviation of Gaussian noise on what the discriminators see, in the units of obs and
-    state, or in deviations of each feature with `discriminator_standardize`. Without it (the
-    paper), skills that can just be told apart pay as much as skills that lead far apart."""
+    """Largest standard deviation of Gaussian noise on what the discriminators see; that of each
+    sample is drawn uniformly from 0 to it. In the units of obs and state, or with
+    `discriminator_center` in those of their deviation. Without it (the paper), skills that can
+    just be told apart pay as much as skills that lead far apart."""
     coordinator: CoordinatorKind = "learned"
     """Who assigns skills: the `learned` coordinator; one that learns the team's skill only, which
     is each agent's own as well (`team_only`, the ablation NoIndi); or chance (`random`, NoHigh)."""

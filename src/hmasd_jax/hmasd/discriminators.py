@@ -53,25 +53,33 @@ def make_discriminators(config: HMASDConfig) -> Discriminators:
     )
 
 
-def standardize(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
-    """Mean 0 and deviation 1 of each feature over the whole batch.
+def center(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
+    """Mean 0 of each feature over the whole batch, and mean variance 1 over the features.
 
-    The added variance of 0.01 keeps features that (almost) never change near 0.
+    One scale for all: what is far apart in x stays far apart, and a feature that hardly ever
+    changes stays small.
     """
     batch = tuple(range(x.ndim - 1))
-    return (x - x.mean(batch)) * jax.lax.rsqrt(x.var(batch) + 1e-2)
+    return (x - x.mean(batch)) * jax.lax.rsqrt(x.var(batch).mean() + 1e-8)
 
 
-def blur(x: Float[Array, "*shape"], noise: float, key: Key) -> Float[Array, "*shape"]:
-    """Add Gaussian noise of standard deviation `noise`."""
-    return x + noise * jax.random.normal(key, x.shape)
+def blur(
+    x: Float[Array, "*batch features"], noise: float, key: Key
+) -> Float[Array, "*batch features"]:
+    """Add Gaussian noise, its standard deviation drawn from [0, `noise`] for each sample.
+
+    Little noise sets skills apart that are close together; much keeps paying for going further.
+    """
+    key_scale, key_noise = jax.random.split(key)
+    scale = jax.random.uniform(key_scale, (*x.shape[:-1], 1), maxval=noise)
+    return x + scale * jax.random.normal(key_noise, x.shape)
 
 
 def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
     """What the discriminators see of states and observations: all, unless options say else."""
     state, obs = pair.state, pair.obs
-    if config.discriminator_standardize:
-        state, obs = standardize(state), standardize(obs)
+    if config.discriminator_center:
+        state, obs = center(state), center(obs)
     if config.discriminator_noise > 0:
         key_state, key_obs = jax.random.split(key)
         state = blur(state, config.discriminator_noise, key_state)
