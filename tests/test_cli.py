@@ -45,6 +45,13 @@ MISTAKES = [
     (["train", "--algorithm.skil-interval", "5"], "(did you mean skill_interval?)"),
     (["train", "--config", "none.toml"], "cannot read config file none.toml"),
     (["train", "--resume", "--run-dir", "nope"], "nope is not a run folder"),
+    (["train", "--algorithm.discriminator-obs", "9"], "must be a list such as [0, 1], got 9"),
+    (["train", "--algorithm.discriminator-obs", "[9, 9]"], "indices from 0, each once, got [9, 9]"),
+    (["train", "--algorithm.discriminator-obs", "[11]"], "index 11, but obs has 11 features"),
+    (
+        ["grid", "--vary", "algorithm.discriminator-obs=[1],[11]"],
+        "index 11, but obs has 11 features",
+    ),
     (["seed_sweep", "--resume"], "--resume needs --run-dir"),
     (["seed_sweep", "--num-seeds", "0"], "num_seeds must be at least 1, got 0"),
     (["seed_sweep", "--seed-index", "3"], "unknown key seed_index"),

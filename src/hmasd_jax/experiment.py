@@ -58,6 +58,8 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
         value: configs.from_json(configs.override(configs.to_json(config), {name: Text(value)}))
         for value in values
     }
+    for cell in cells.values():
+        configs.build(cell)
     begun = [value for value in values if runs[value].exists()]
     if begun and not options.resume:
         raise run_folder.RunError(
@@ -85,6 +87,7 @@ def _experiment(
     """Prepare the folder, train, summarize."""
     extras = tuple(name for name in ("tensorboard", "wandb") if getattr(options, name))
     logging.check_extras(extras)
+    configs.build(config)  # refuses what does not fit the environment before anything is written
     console = Console(quiet=not group.leads)
     run = options.run_dir or _default_folder(config)
     line = run_folder.shell_command([command, *words])

@@ -47,6 +47,17 @@ def check_range(settings: Any, *names: str, low: float = -math.inf, high: float 
         raise ValueError(f"{name} must be {wanted}, got {value}")
 
 
+def check_indices(settings: Any, name: str) -> None:
+    """Insist that the named field holds different whole numbers from 0; for use in `__post_init__`.
+
+    Raises:
+        ValueError: with a message that begins with the field's name.
+    """
+    value = getattr(settings, name)
+    if any(index < 0 for index in value) or len(set(value)) < len(value):
+        raise ValueError(f"{name} must hold indices from 0, each once, got {list(value)}")
+
+
 def check_multiple(name: str, value: int, of_name: str, of: int) -> None:
     """Insist that `value` is a whole multiple of `of`; for use in `__post_init__`.
 
@@ -137,7 +148,8 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
         return str(value)
     if type(value) is annotation:
         return value
-    raise ConfigError(f"{path} must be {NAMES.get(annotation, annotation)}, got {value!r}")
+    wanted = "a list such as [0, 1]" if origin is tuple else NAMES.get(annotation, annotation)
+    raise ConfigError(f"{path} must be {wanted}, got {value!r}")
 
 
 def _convert_union(value: Any, options: tuple, path: str) -> Any:

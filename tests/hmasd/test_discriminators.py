@@ -150,3 +150,10 @@ def test_centered_features_by_hand():
 
 def test_what_never_changes_is_centered_to_nothing():
     np.testing.assert_array_equal(center(jnp.full((4, 3), 7.0)), 0.0)
+
+
+def test_q_d_sees_the_chosen_features_only():
+    config = HMASDConfig(discriminator_obs=(2, 0))
+    seen = observe(PAIR, config, jax.random.key(0))
+    np.testing.assert_array_equal(seen.obs, PAIR.obs[..., [2, 0]])
+    assert seen.state is PAIR.state

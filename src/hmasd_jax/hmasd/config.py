@@ -6,7 +6,7 @@ from typing import Literal
 
 from hmasd_jax.networks import ConditionAt
 from hmasd_jax.ppo import PPOConfig
-from hmasd_jax.settings import check_divides, check_multiple, check_range
+from hmasd_jax.settings import check_divides, check_indices, check_multiple, check_range
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
 
@@ -40,6 +40,9 @@ class HMASDConfig:
     Overcooked, `input` for SMAC."""
     discriminator_epochs: int = 15
     """Gradient steps on the discriminators per rollout, each on all of it."""
+    discriminator_obs: tuple[int, ...] = ()
+    """Indices of the features of obs that q_d sees, such as the agent's position; none given, as in
+    the paper, it sees all of them."""
     discriminator_center: bool = False
     """Whether the discriminators see obs and state with each feature's mean over the rollout at 0,
     and all features divided by one deviation. Without it (the paper), their input LayerNorm drowns
@@ -81,6 +84,7 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", low=0)
+        check_indices(self, "discriminator_obs")
         if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:
             raise ValueError(
                 f"num_skills {self.num_skills} must be num_team_skills = {self.num_team_skills} "

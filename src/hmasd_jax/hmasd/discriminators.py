@@ -78,6 +78,8 @@ def blur(
 def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
     """What the discriminators see of states and observations: all, unless options say else."""
     state, obs = pair.state, pair.obs
+    if config.discriminator_obs:
+        obs = obs[..., jnp.array(config.discriminator_obs)]
     if config.discriminator_center:
         state, obs = center(state), center(obs)
     if config.discriminator_noise > 0:

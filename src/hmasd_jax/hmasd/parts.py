@@ -12,7 +12,13 @@ from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator
 from hmasd_jax.hmasd.discoverer import init_memory, make_discoverer
-from hmasd_jax.hmasd.discriminators import Discriminators, make_discriminators
+from hmasd_jax.hmasd.discriminators import (
+    Discriminators,
+    SkillPair,
+    make_discriminators,
+    observe,
+)
+from hmasd_jax.settings import ConfigError
 from hmasd_jax.sgd import make_optimizer
 from hmasd_jax.types import Key, Learner
 
@@ -32,8 +38,18 @@ class Parts:
 
 
 def make_parts(env: Environment, config: HMASDConfig) -> Parts:
-    """Build networks and optimizers; nothing is initialized yet."""
+    """Build networks and optimizers; nothing is initialized yet.
+
+    Raises:
+        ConfigError: q_d is to see a feature that obs has not.
+    """
     ppo = config.ppo
+    last = max(config.discriminator_obs, default=0)
+    if last >= env.obs_dim:
+        raise ConfigError(
+            f"algorithm.discriminator_obs has index {last}, but obs has {env.obs_dim} features "
+            f"(0 to {env.obs_dim - 1})"
+        )
     return Parts(
         env=env,
         config=config,
@@ -60,6 +76,7 @@ def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
     actor, critic = parts.discoverer
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     q_team, q_individual = parts.discriminators
+    seen = observe(SkillPair(state, obs, tokens), config, key)
     team_skills = jnp.zeros((1, env.num_agents, config.num_team_skills))
     coordinator = parts.coordinator.init(key_coordinator, state, obs, tokens)
     discoverer = {
@@ -69,7 +86,7 @@ def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
     discriminators = {
         "team": q_team.init(key_team, state),
         "individual": q_individual.init(
-            key_individual, jnp.concatenate([obs, team_skills], axis=-1)
+            key_individual, jnp.concatenate([seen.obs, team_skills], axis=-1)
         ),
     }
     return (
