@@ -1,6 +1,6 @@
-"""Keep a finished run: RUN -> results/TASK/NAME.json and .png, and write docs/results.md anew.
+"""Keep a finished run: RUN -> results/TASK/NAME.json, its images, and docs/results.md anew.
 
-A task is one of `TASKS`; NAME begins with the algorithm's name.
+A task is one of `TASKS`; NAME begins with the algorithm's name, or with `no` for an ablation.
 
 python results/record.py RUN results/alice_and_bob/hmasd.json
 python results/record.py             # only docs/results.md, from the files that are there
@@ -75,6 +75,8 @@ of every seed. Success in percent of greedy episodes, or their mean return; the 
 seeds, as in the paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and
 "worst" is the worst seed.
 """
+TOGETHER = ("compared", "ablations")
+"""Images of several runs."""
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
 )
@@ -116,6 +118,19 @@ def recorded(task: str) -> list[Path]:
     return sorted((ROOT / "results" / task).glob("*.json"))
 
 
+def draw_together(task: str) -> None:
+    """Draw the algorithms on a task into one image, and HMASD with its ablations into another."""
+    files = recorded(task)
+    ablations = [path for path in files if path.stem.startswith("no")]
+    algorithms = [path for path in files if path not in ablations]
+    full = [path for path in files if path.stem == "hmasd"]
+    metric = json.loads(files[0].read_text())["metric"]
+    for name, paths in zip(TOGETHER, (algorithms, full + ablations)):
+        if paths != full:  # which has an image of its own
+            curves = [recorded_curves(path) for path in paths]
+            draw_groups(curves, task, metric, ROOT / "results" / task / f"{name}.png")
+
+
 def algorithm_of(path: Path) -> str:
     """What the name of a recorded run begins with; `hmasd` for `hmasd_robust.json`."""
     return path.stem.partition("_")[0]
@@ -154,7 +169,7 @@ def page() -> str:
         images = [
             f"![{image.stem}](../{image.relative_to(ROOT)})"
             for image in sorted((ROOT / "results" / name).glob("*.png"))
-            if image.stem == "compared" or image.with_suffix(".json") in files
+            if image.stem in TOGETHER or image.with_suffix(".json") in files
         ]
         rule = "|---" * COLUMNS.count(" | ") + "|---|"
         columns = COLUMNS.format(bar=f"{task.bar:g}")
@@ -171,16 +186,9 @@ def main(arguments: list[str]) -> None:
             raise SystemExit(f"no task is called {task!r}; choose from {', '.join(TASKS)}")
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(record(run)) + "\n")
-        reference = TASKS[task].reference if algorithm_of(out) == "hmasd" else None
-        plot_result(out, out.with_suffix(".png"), reference)
-        if len(files := recorded(task)) > 1:
-            metric = json.loads(out.read_text())["metric"]
-            draw_groups(
-                [recorded_curves(path) for path in files],
-                out.parent.name,
-                metric,
-                out.with_name("compared.png"),
-            )
+        if algorithm_of(out) == "hmasd":
+            plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
+        draw_together(task)
     PAGE.write_text(page())
 
 
