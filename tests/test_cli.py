@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from hmasd_jax import arguments
+from hmasd_jax import arguments, config
 from hmasd_jax.config import ConfigError
 from hmasd_jax.settings import Flag, Text
 from hmasd_jax.train import COMMANDS, main
@@ -28,6 +28,17 @@ def test_words_become_options_and_overrides():
     assert [type(v) for v in overrides.values()] == [Text, Text, Flag]
 
 
+@pytest.mark.parametrize(
+    ("words", "indices"), [(["9", "10"], (9, 10)), (["9"], (9,)), (["[9, 10]"], (9, 10))]
+)
+def test_a_list_is_typed_as_words_or_as_in_toml(words, indices):
+    name = "--algorithm.discriminator-obs"
+    _, overrides = arguments.parse(arguments.TrainOptions, [name, *words, "--seed", "3"])
+    loaded = config.load(None, overrides)
+    assert loaded.algorithm.discriminator_obs == indices
+    assert loaded.seed == 3
+
+
 def test_runs_of_plot_need_no_name():
     words = ["a", "b", "--out", "c.png"]
     options, _ = arguments.parse(arguments.PlotOptions, words, "runs")
@@ -45,7 +56,8 @@ MISTAKES = [
     (["train", "--algorithm.skil-interval", "5"], "(did you mean skill_interval?)"),
     (["train", "--config", "none.toml"], "cannot read config file none.toml"),
     (["train", "--resume", "--run-dir", "nope"], "nope is not a run folder"),
-    (["train", "--algorithm.discriminator-obs", "9"], "must be a list such as [0, 1], got 9"),
+    (["train", "--algorithm.discriminator-obs", "x"], "must be a whole number, got 'x'"),
+    (["train", "--seed", "1", "2"], "seed must be a whole number, got [1, 2]"),
     (["train", "--algorithm.discriminator-obs", "[9, 9]"], "indices from 0, each once, got [9, 9]"),
     (["train", "--algorithm.discriminator-obs", "[11]"], "index 11, but obs has 11 features"),
     (

@@ -79,6 +79,7 @@ MISTAKES = [
     ({"env": 3}, "env must be a table"),
     ({"algorithm.ppo": 3}, "algorithm.ppo must be a table"),
     ({"seed": "3"}, "seed must be a whole number, got '3'"),
+    ({"algorithm.discriminator_obs": 9}, "must be a list such as [0, 1], got 9"),
     ({"seed": 2.5}, "seed must be a whole number, got 2.5"),
     ({"seed": True}, "seed must be a whole number, got True"),
     ({"seed": Flag("true")}, "seed needs a value"),

@@ -186,6 +186,8 @@ def parse(
             if not equals:
                 is_flag = not words or words[0].startswith("--") or hints.get(name) is bool
                 value = Flag("true") if is_flag else Text(words.pop(0))
+                if not is_flag and positional is None:
+                    value = _as_list(value, words)
             else:
                 value = Text(value)
             (given if name in hints else overrides)[name] = value
@@ -198,6 +200,14 @@ def parse(
         else:
             given[positional] = Text(word)
     return from_table(cls, given), overrides
+
+
+def _as_list(value: Text, words: list[str]) -> Text:
+    """`value`, or the list of it and of the words that follow it without a name."""
+    values = [value]
+    while words and not words[0].startswith("--"):
+        values.append(Text(words.pop(0)))
+    return value if len(values) == 1 else Text(f"[{', '.join(values)}]")
 
 
 def drop_options(words: Sequence[str], *names: str) -> list[str]:
