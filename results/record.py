@@ -8,7 +8,9 @@ python results/record.py             # only docs/results.md, from the files that
 
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
+from statistics import fmean
 from typing import Any, NamedTuple
 
 from hmasd_jax import logging, run_folder
@@ -69,14 +71,17 @@ TASKS = {
 HEAD = """# Results
 
 Written by `python results/record.py` from the files in [`results/`](../results), each of which
-holds the command, configuration, commit, versions and hardware that made it, and every evaluation
-of every seed. Success in percent of greedy episodes, or their mean return; the mean of the last
-{last} evaluations of each seed, then over seeds. "±" is the (population) standard deviation over
-seeds, as in the paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and
-"worst" is the worst seed.
+holds the command, configuration, commit, versions and hardware that made it, every evaluation of
+every seed, and what training measured, as means over each tenth of it. Success in percent of greedy
+episodes, or their mean return; the mean of the last {last} evaluations of each seed, then over
+seeds. "±" is the (population) standard deviation over seeds, as in the paper (five seeds), brackets
+are the 95 % bootstrap interval of the mean, and "worst" is the worst seed.
 """
 TOGETHER = ("compared", "ablations")
 """Images of several runs."""
+NUM_PARTS = 10
+"""Parts of a run that training is described by."""
+NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
 )
@@ -89,7 +94,7 @@ def record(run: Path) -> dict[str, Any]:
         SystemExit: a seed has not come to its end, or seeds were evaluated at different steps.
     """
     about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
-    env_steps, values, wall_seconds = None, [], []
+    env_steps, values, training, wall_seconds = None, [], [], []
     for seed in run_folder.seeds_of(run):
         records = logging.read(run_folder.metrics_path(run, seed))
         evaluations = [entry for entry in records if entry["kind"] == "eval"]
@@ -101,6 +106,7 @@ def record(run: Path) -> dict[str, Any]:
             )
         metric = main_metric(evaluations[-1])
         values.append([round(entry[metric], 6) for entry in evaluations])
+        training.append(training_means(records))
         wall_seconds.append(records[-1]["wall_seconds"])
     return {
         **about,
@@ -109,8 +115,22 @@ def record(run: Path) -> dict[str, Any]:
         "metric": metric,
         "env_steps": env_steps,
         "values": values,
+        "training_means": training,
         "wall_seconds": wall_seconds,
     }
+
+
+def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """Each metric of training over ten equal parts of it; None where no episode ended."""
+    lines = [entry for entry in records if entry["kind"] == "train"]
+    names = dict.fromkeys(name for entry in lines for name in entry if name not in NOT_MEANS)
+    bounds = [len(lines) * part // NUM_PARTS for part in range(NUM_PARTS + 1)]
+    means = {name: [] for name in names}
+    for start, end in pairwise(bounds):
+        for name, kept in means.items():
+            values = [entry[name] for entry in lines[start:end] if name in entry]
+            kept.append(float(f"{fmean(values):.4g}") if values else None)
+    return means
 
 
 def recorded(task: str) -> list[Path]:
