@@ -32,6 +32,18 @@ def test_every_shipped_config_loads_and_survives_json(path, tmp_path):
     assert callable(algorithm.update)
 
 
+@pytest.mark.parametrize("hmasd", sorted(CONFIGS.rglob("hmasd.toml")), ids=lambda p: p.parent.stem)
+@pytest.mark.parametrize("baseline", ["mappo", "mat"])
+def test_baselines_have_the_task_budget_and_optimization_of_hmasd(hmasd, baseline):
+    ours, theirs = (configs.to_json(configs.load(hmasd.with_stem(n))) for n in ("hmasd", baseline))
+    assert theirs["algorithm"]["name"] == baseline
+    if baseline == "mat":  # which has no memory
+        del ours["algorithm"]["ppo"]["sequence_length"]
+        del theirs["algorithm"]["ppo"]["sequence_length"]
+    assert theirs["algorithm"]["ppo"] == ours["algorithm"]["ppo"]
+    assert theirs | {"algorithm": None} == ours | {"algorithm": None}
+
+
 def test_overrides_win_over_the_file(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("seed = 3\n[env]\nmax_steps = 7\n[algorithm.ppo]\nnum_envs = 8\n")
