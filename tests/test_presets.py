@@ -1,0 +1,39 @@
+"""What the indices in the shipped presets stand for."""
+
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from envs_jax.battle_views import FIRST_ATTACK
+from hmasd_jax import config as configs
+
+CONFIGS = Path(__file__).parents[1] / "configs"
+EAST = 4
+
+
+@pytest.mark.parametrize("name", ["hmasd_robust", "quick"])
+def test_q_d_of_alice_and_bob_sees_row_and_column(name):
+    config = configs.load(CONFIGS / f"alice_and_bob/{name}.toml")
+    state, timestep = config.env.reset(jax.random.key(0))
+    seen = timestep.obs[:, jnp.array(config.algorithm.discriminator_obs)]
+    np.testing.assert_array_equal(seen, state.position)
+
+
+def test_q_d_of_3m_sees_whom_an_agent_shot_at():
+    """Agent i walks east until enemy i is in reach, then shoots at it."""
+    config = configs.load(CONFIGS / "micro_battle/3m/hmasd_robust.toml")
+    env, indices = config.env, jnp.array(config.algorithm.discriminator_obs)
+    step = jax.jit(env.step)
+    state, timestep = env.reset(jax.random.key(0))
+    seen = set()
+    for _ in range(12):
+        shoots = timestep.action_mask[:, FIRST_ATTACK:].diagonal()
+        action = jnp.where(shoots, FIRST_ATTACK + jnp.arange(3), EAST)
+        state, timestep = step(jax.random.key(1), state, action)
+        alive = ~timestep.action_mask[:, 0]
+        np.testing.assert_array_equal(timestep.obs[alive][:, indices], jnp.diag(shoots)[alive])
+        seen |= set(np.flatnonzero(shoots & alive))
+    assert seen == {0, 1, 2}
