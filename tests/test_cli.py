@@ -50,6 +50,7 @@ def test_runs_of_plot_need_no_name():
 MISTAKES = [
     (["trian"], "unknown command 'trian' (did you mean train?)"),
     (["train", "x"], "unexpected 'x': settings are written --name value"),
+    (["train", "--run-dir", "a", "b"], "unexpected 'b': settings are written --name value"),
     (["train", "--seed"], "seed needs a value"),
     (["train", "--seed", "x"], "seed must be a whole number, got 'x'"),
     (["train", "--seed-index", "-1"], "seed_index must be at least 0, got -1"),

@@ -186,7 +186,7 @@ def parse(
             if not equals:
                 is_flag = not words or words[0].startswith("--") or hints.get(name) is bool
                 value = Flag("true") if is_flag else Text(words.pop(0))
-                if not is_flag and positional is None:
+                if not is_flag and name not in hints and positional is None:
                     value = _as_list(value, words)
             else:
                 value = Text(value)

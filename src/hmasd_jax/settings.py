@@ -137,8 +137,9 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
         return _convert_union(value, options, path)
     if annotation is Path and isinstance(value, str):
         return Path(value)
-    typed, value = value, _parse(value) if annotation is not str else value
-    if origin is tuple and isinstance(typed, Text) and not isinstance(value, list):
+    was_typed = isinstance(value, Text)
+    value = _parse(value) if annotation is not str else value
+    if origin is tuple and was_typed and not isinstance(value, list):
         value = [value]  # On a command line a list of one is written as that one.
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(convert(item, options[0], path) for item in value)
