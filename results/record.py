@@ -72,10 +72,11 @@ HEAD = """# Results
 
 Written by `python results/record.py` from the files in [`results/`](../results), each of which
 holds the command, configuration, commit, versions and hardware that made it, every evaluation of
-every seed, and what training measured, as means over each tenth of it. Success in percent of greedy
-episodes, or their mean return; the mean of the last {last} evaluations of each seed, then over
-seeds. "±" is the (population) standard deviation over seeds, as in the paper (five seeds), brackets
-are the 95 % bootstrap interval of the mean, and "worst" is the worst seed.
+every seed, and in all but the oldest what training measured, as means over each tenth of it.
+Success in percent of greedy episodes, or their mean return; the mean of the last {last} evaluations
+of each seed, then over seeds. "±" is the (population) standard deviation over seeds, as in the
+paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and "worst" is the worst
+seed.
 """
 TOGETHER = ("compared", "ablations")
 """Images of several runs."""
@@ -156,9 +157,8 @@ def algorithm_of(path: Path) -> str:
     return path.stem.partition("_")[0]
 
 
-def row(path: Path, task: Task) -> str:
-    """One line of the table."""
-    kept = json.loads(path.read_text())
+def row(path: Path, kept: dict[str, Any], task: Task) -> str:
+    """One line of the table: what is kept of a run in a file."""
     scale = 100 if kept["metric"] == "success" else 1
     final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
     low, high = final["interval"]
@@ -183,8 +183,8 @@ def page() -> str:
         files = recorded(name)
         if not files:
             continue
-        rows = [row(path, task) for path in files]
-        kept = (json.loads(path.read_text()) for path in files)
+        kept = [json.loads(path.read_text()) for path in files]
+        rows = [row(path, result, task) for path, result in zip(files, kept)]
         commands = dict.fromkeys(f"    {result['command']}" for result in kept)
         images = [
             f"![{image.stem}](../{image.relative_to(ROOT)})"
