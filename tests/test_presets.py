@@ -1,5 +1,7 @@
-"""What the indices in the shipped presets stand for."""
+"""What the shipped presets say of themselves, and what indices in them stand for."""
 
+import dataclasses
+import re
 from pathlib import Path
 
 import jax
@@ -12,6 +14,23 @@ from hmasd_jax import config as configs
 
 CONFIGS = Path(__file__).parents[1] / "configs"
 EAST = 4
+
+
+def settings(path: Path) -> set[tuple]:
+    """All settings of a configuration, each with its value."""
+    config = dataclasses.asdict(configs.load(path))
+    leaves, _ = jax.tree.flatten_with_path(config, is_leaf=lambda x: not isinstance(x, dict))
+    return {(path[-1].key, value) for path, value in leaves}
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/hmasd_robust.toml")), ids=lambda path: path.parent.name
+)
+def test_robust_presets_mark_what_differs_from_the_papers(path):
+    changed = settings(path) - settings(path.with_name("hmasd.toml"))
+    marked = re.findall(r"^(\w+) = .*  # not ", path.read_text(), re.MULTILINE)
+    assert marked
+    assert sorted(marked) == sorted(name for name, _ in changed)
 
 
 @pytest.mark.parametrize("name", ["hmasd_robust", "quick"])
