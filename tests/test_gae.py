@@ -138,6 +138,12 @@ def test_the_floor_of_the_deviation_is_1e_5():
     assert_allclose(normalize_advantage(jnp.array([-1e-5, 1e-5])), [-0.5, 0.5], rtol=1e-5)
 
 
+def test_a_higher_floor_keeps_small_advantages_small():
+    small, large = jnp.array([-0.5, 0.5]), jnp.array([-4.0, 4.0])
+    assert_allclose(normalize_advantage(small, floor=2.0), [-0.25, 0.25], rtol=1e-6)
+    assert_allclose(normalize_advantage(large, floor=2.0), [-1.0, 1.0], rtol=1e-4)
+
+
 def test_normalization_takes_mean_and_deviation_from_active_agents_only():
     # Active: 1 and 5, mean 3, deviation 2. The others are shifted and scaled alike: (9 - 3) / 2.
     result = normalize_advantage(jnp.array([1.0, 9.0, 5.0]), jnp.array([True, False, True]))

@@ -80,12 +80,16 @@ def rollout_advantage(
 
 
 def normalize_advantage(
-    advantage: Float[Array, "*batch"], active: Bool[Array, "*batch"] | None = None
+    advantage: Float[Array, "*batch"],
+    active: Bool[Array, "*batch"] | None = None,
+    floor: float = 0.0,
 ) -> Float[Array, "*batch"]:
     """Shift and scale by mean and population standard deviation over all axes.
 
     Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs, and takes
-    both from the agents that are `active`.
+    both from the agents that are `active`. Advantages that deviate by less than `floor` are divided
+    by `floor`, and so stay small.
     """
     deviation = advantage - masked_mean(advantage, active)
-    return deviation / (jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5)
+    scale = jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5
+    return deviation / jnp.maximum(scale, floor)

@@ -231,6 +231,14 @@ def test_low_level_advantages_are_normalized_over_who_has_a_choice():
     assert_allclose(batch.advantage.reshape(-1), expected, rtol=1e-5)
 
 
+def test_the_low_levels_floor_is_in_units_of_its_rewards():
+    advantage = np.array([5.140625, 16.5625, 60.25, 229])  # as above; their deviation is 90
+    batch = _low(_parts(low_advantage_floor=200.0), _rollout())
+    assert_allclose(batch.advantage.reshape(-1), (advantage - advantage.mean()) / 200, rtol=1e-5)
+    plain, low = _low(_parts(), _rollout()), _low(_parts(low_advantage_floor=20.0), _rollout())
+    np.testing.assert_array_equal(low.advantage, plain.advantage)
+
+
 def test_low_level_values_are_denormalized_for_gae():
     # Mean 3, deviation 2: V_3 = 4 stands for 11, the last 450 for 903; 8 + 451.5 = 459.5.
     norm = ValueNorm(*jnp.array([3.0, 13.0, 1.0]))

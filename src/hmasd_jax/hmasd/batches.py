@@ -130,7 +130,8 @@ def low_batch(
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
     skill in use there. Advantages are normalized over the agents that have a choice.
     """
-    ppo, transitions = parts.config.ppo, rollout.transitions
+    config, transitions = parts.config, rollout.transitions
+    ppo, timestep = config.ppo, transitions.timestep
     outcome, extras = transitions.outcome, transitions.extras
     skills = extras.assignment.skills
     last_value = _critic(
@@ -146,18 +147,20 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
+    active = has_choice(timestep.action_mask)
+    advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
     begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.low)
     memory = ActorCriticMemory(*flatten(tuple(begin)))
     steps = {
         "first": transitions.first,
-        "obs": transitions.timestep.obs,
-        "state": transitions.timestep.state,
-        "action_mask": transitions.timestep.action_mask,
+        "obs": timestep.obs,
+        "state": timestep.state,
+        "action_mask": timestep.action_mask,
         "skills": skills,
         "action": transitions.action,
         "log_prob": extras.log_prob,
         "value": extras.value,
-        "advantage": normalize_advantage(advantage, has_choice(transitions.timestep.action_mask)),
+        "advantage": advantage,
         "target": target,
     }
     return LowBatch(memory, **cut(steps, ppo.sequence_length))

@@ -28,6 +28,10 @@ class HMASDConfig:
     low_entropy_decay_updates: int = 0
     """Updates (rollouts) over which lambda_l falls linearly to 0; 0 keeps it constant, as the paper
     does."""
+    low_advantage_floor: float = 0.0
+    """Least deviation that the low level's advantages are divided by, in units of Eq. 4's r^i.
+    Without it (the paper) they are divided by their own, however small: as long as skills cannot be
+    told apart and no reward comes, the low level learns noise at full strength."""
     extrinsic_coef: float = 0.0
     """lambda_e, weight of the team reward in Eq. 4."""
     team_intrinsic_coef: float = 0.1
@@ -83,7 +87,7 @@ class HMASDConfig:
         check_range(self, "discriminator_epochs", "num_blocks", "num_heads", low=1)
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
-        check_range(self, "discriminator_noise", low=0)
+        check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_indices(self, "discriminator_obs")
         if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:
             raise ValueError(
