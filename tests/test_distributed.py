@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from hmasd_jax import run_folder
+from hmasd_jax.distributed import share_of_cores
 from hmasd_jax.train import main
 
 TOY = Path(__file__).with_name("toy.py")
@@ -51,6 +52,9 @@ def test_two_processes_share_the_seeds_and_make_one_run(sweep, tmp_path):
     assert run_folder.seeds_of(run) == [0, 1, 2]
     assert "2 processes (this one trains and shows 0, 2)" in out
     assert "seed" not in quiet  # gloo says that it is connected
+    # Each has half of the cores that both were started on.
+    cores = (len(run_folder.available_cores()) + 1) // 2
+    assert json.loads((run / "run.json").read_text())["cores"] == cores
     # The first process sums up what both did, and leaves no notes behind.
     summary = json.loads((run / "summary.json").read_text())
     assert [summary["seeds"][str(seed)]["status"] for seed in range(3)] == ["finished"] * 3
@@ -60,6 +64,19 @@ def test_two_processes_share_the_seeds_and_make_one_run(sweep, tmp_path):
     alone = tmp_path / "alone"
     assert main(["train", "--run-dir", str(alone), "--seed-index", "1", *WORDS]) == 0
     assert numbers(run, 1) == numbers(alone, 1)
+
+
+@pytest.mark.parametrize(
+    ("places", "shares"),
+    [
+        ([7, 7], [[2, 5], [3]]),
+        ([7, 8], [[2, 3, 5], [2, 3, 5]]),  # two machines
+        ([7, 8, 7], [[2, 5], [2, 3, 5], [3]]),
+        ([7] * 4, [[2], [3], [5], [2]]),  # more processes than cores
+    ],
+)
+def test_processes_on_the_same_cores_share_them_out(places, shares):
+    assert [share_of_cores([2, 3, 5], places, i) for i in range(len(places))] == shares
 
 
 def test_when_the_first_process_refuses_all_do(sweep, tmp_path):

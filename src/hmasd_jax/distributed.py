@@ -1,14 +1,16 @@
 """One sweep over several processes, say one per node of a cluster, on JAX's own runtime.
 
 Seeds do not talk to each other: each process trains its share on its own cores or accelerators, in
-the layout that it would choose alone. All write to the same run folder, which must be on a file
-system that all of them see. The first process prepares the folder, shows its own seeds, and sums
-up when all have ended.
+the layout that it would choose alone; processes on the same cores share them out. All write to the
+same run folder, which must be on a file system that all of them see. The first process prepares the
+folder, shows its own seeds, and sums up when all have ended.
 """
 
 import json
 import os
 import time
+import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +21,8 @@ from hmasd_jax import run_folder
 from hmasd_jax.trainer import Event
 
 POLL_SECONDS = 1.0
+BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
+"""Where Linux says which machine this is, in whatever container."""
 
 
 class Group(NamedTuple):
@@ -68,7 +72,37 @@ def join() -> Group:
             f"cannot connect the processes of this sweep: {error}; start it with srun or mpirun, "
             "or set JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID in each process"
         ) from error
-    return Group(jax.process_index(), jax.process_count())
+    group = Group(jax.process_index(), jax.process_count())
+    if hasattr(os, "sched_setaffinity"):
+        _divide_cores(group)
+    return group
+
+
+def _divide_cores(group: Group) -> None:
+    """Leave each process that was started on the same cores of the same machine some of its own.
+
+    Each would pin its workers to the first of them otherwise. A launcher that gives every process
+    cores of its own has done it already: then nothing changes.
+    """
+    from jax.experimental import multihost_utils
+
+    cores = run_folder.available_cores()
+    place = np.uint32(zlib.crc32(f"{BOOT_ID.read_text()} {cores}".encode()))
+    places = multihost_utils.process_allgather(place).reshape(-1).tolist()
+    os.sched_setaffinity(0, share_of_cores(cores, places, group.index))
+
+
+def share_of_cores(cores: list[int], places: Sequence[int], index: int) -> list[int]:
+    """The cores of process `index` among those at the same place; one at least.
+
+    Args:
+        cores: what the processes at its place may use.
+        places: of every process, equal where they were started on the same cores.
+        index: which process.
+    """
+    neighbors = [other for other, place in enumerate(places) if place == places[index]]
+    turn = neighbors.index(index)
+    return cores[turn :: len(neighbors)] or [cores[turn % len(cores)]]
 
 
 def gather(group: Group, run: Path, results: dict[int, Event]) -> dict[int, Event]:
