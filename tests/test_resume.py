@@ -166,6 +166,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
 
 
+@pytest.mark.skipif(len(run_folder.available_cores()) < 2, reason="two workers need two cores")
 def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     run = tmp_path / "run"
     process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=2))
