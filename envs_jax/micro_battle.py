@@ -259,9 +259,11 @@ def _copies_last(function: Callable) -> Callable:
             tuple(is_batched),
         )
         whole = partial(_move_copies, _copies_last(function))
-        is_large = size > BLOCK and size % BLOCK == 0
-        on_cpu = partial(_in_blocks, whole) if is_large else whole
-        out = jax.lax.platform_dependent(*args, cpu=on_cpu, default=whole)
+        if size > BLOCK and size % BLOCK == 0:
+            blocks = partial(_in_blocks, whole)
+            out = jax.lax.platform_dependent(*args, cpu=blocks, default=whole)
+        else:
+            out = whole(*args)
         return out, jax.tree.map(lambda _: True, out)
 
     return batched

@@ -3,7 +3,7 @@
 python results/overcooked/soup_times.py RUN OUT
 
 OUT (JSON) gets, for each seed, the steps at which one greedy game per seat earns its soups, and the
-agent that served each.
+player that served each.
 """
 
 import json
