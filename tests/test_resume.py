@@ -227,6 +227,22 @@ def test_another_configuration_is_refused_by_name(finished, capsys):
     assert main([*command, "--algorithm.scale", "1"]) == 0
 
 
+def test_a_finished_run_can_be_trained_further_and_with_more_seeds(finished, tmp_path, capsys):
+    further = ["--total-env-steps", "320", "--num-seeds", "2", "--layout", "map"]
+    assert main(["seed_sweep", "--run-dir", str(finished), "--resume", *further]) == 0
+    at_once = tmp_path / "at_once"
+    settings = words(total_env_steps=320, num_seeds=2, layout="map")
+    assert main(["seed_sweep", "--run-dir", str(at_once), *settings]) == 0
+    for seed in range(2):
+        assert numbers(finished, seed) == numbers(at_once, seed)
+        states = [load_run(run, seed).state for run in (finished, at_once)]
+        assert_same_state(*states)
+    capsys.readouterr()
+    less = ["--resume", "--total-env-steps", "160"]
+    assert main(["train", "--run-dir", str(finished), *less]) == 2
+    assert "total_env_steps 320, which can be raised but not lowered" in capsys.readouterr().err
+
+
 def test_metrics_after_the_checkpoint_are_dropped(finished):
     """What a kill leaves behind: lines of updates that were not saved, the last cut short."""
     before = numbers(finished, 0)

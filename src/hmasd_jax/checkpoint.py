@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import orbax.checkpoint as ocp
 
+from hmasd_jax.config import EXTENSIBLE
 from hmasd_jax.packing import describe, from_bytes, to_bytes
 
 State = Any
@@ -112,7 +113,7 @@ def restore(
         folder: of the checkpoints of one seed.
         template: arrays or `jax.ShapeDtypeStruct`s of the expected structure, as from
             `jax.eval_shape(algorithm.init, key)`. Leaves without a sharding go to one device.
-        config: resolved configuration; must equal the saved one.
+        config: resolved configuration; must equal the saved one but for `config.EXTENSIBLE`.
         step: environment steps of the checkpoint; None is the newest.
 
     Returns:
@@ -178,10 +179,11 @@ def _check_config(path: Path, saved: dict, config: dict) -> None:
     """Name the fields that differ.
 
     A setting that the saved configuration lacks is younger than the checkpoint: its default is
-    what the code did then.
+    what the code did then. How far the run goes may change.
     """
     old, new = _flatten(saved), _flatten(_as_json(config))
-    fields = [k for k in sorted(old) if old[k] != new.get(k, "absent")]
+    names = sorted(old.keys() - set(EXTENSIBLE))
+    fields = [k for k in names if old[k] != new.get(k, "absent")]
     if fields:
         changes = [f"{k} (saved {_show(old, k)}, now {_show(new, k)})" for k in fields]
         raise CheckpointError(

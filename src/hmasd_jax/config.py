@@ -23,6 +23,10 @@ AlgorithmT = TypeVar("AlgorithmT")
 Layout = Literal["auto", "workers", "vmap", "map", "sharded"]
 DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 
+EXTENSIBLE = ("total_env_steps", "num_seeds", "layout")
+"""Settings of `TrainConfig` that may change when a run is continued: nothing trained depends on
+them."""
+
 
 @dataclass(frozen=True)
 class TrainConfig(Generic[EnvT, AlgorithmT]):

@@ -111,7 +111,7 @@ def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], grou
     try:
         if group.leads and resume:
             check_same(run_folder.read_config(run), config, run)
-            run_folder.note_resume(run, line)
+            run_folder.note_resume(run, config, line)
             distributed.forget(group, run)
         elif group.leads:
             run_folder.create(run, config, line)
@@ -135,13 +135,19 @@ def keep_executables() -> None:
 
 
 def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
-    """Insist that a run is continued with the configuration it began with.
+    """Insist that a run is continued with the configuration it began with, or extended.
 
     Raises:
         RunError: naming the fields that differ.
     """
     old, new = (_flatten(configs.to_json(c)) for c in (saved, wanted))
-    changed = [k for k in sorted(old | new) if old.get(k) != new.get(k)]
+    if wanted.total_env_steps < saved.total_env_steps:
+        raise run_folder.RunError(
+            f"{run} has total_env_steps {saved.total_env_steps}, which can be raised but not "
+            f"lowered to {wanted.total_env_steps}: resume without it, or choose another --run-dir"
+        )
+    names = sorted((old | new).keys() - set(configs.EXTENSIBLE))
+    changed = [k for k in names if old.get(k) != new.get(k)]
     if changed:
         changes = ", ".join(f"{k} (was {old.get(k)}, now {new.get(k)})" for k in changed)
         raise run_folder.RunError(

@@ -78,11 +78,12 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
 
-def note_resume(run: Path, command: list[str]) -> None:
-    """Record in run.json that and how the run was continued."""
+def note_resume(run: Path, config: TrainConfig, command: list[str]) -> None:
+    """Record that and how the run was continued, and in config.json how far it is to go now."""
     record = json.loads((run / "run.json").read_text())
     record.setdefault("resumed", []).append(describe(command))
     write_json(run / "run.json", record)
+    write_json(run / "config.json", configs.to_json(config))
 
 
 def write_json(path: Path, value: Any) -> None:
