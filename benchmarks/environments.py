@@ -2,7 +2,7 @@
 
 python benchmarks/environments.py [--env alice_and_bob] [--copies 32 1024] [--json]
 
-Random actions on one core, in the loop that training uses.
+Random actions on one core, stepped and reset as in training.
 """
 
 from collections.abc import Callable
@@ -21,12 +21,11 @@ def random_play(
 ) -> tuple[Callable[[], Any], float, int]:
     """A call that unrolls random play, seconds to compile it, and environment steps per call."""
 
-    def act(memory, timestep, first, key):
-        return memory, envs_jax.random_actions(key, timestep.action_mask), None
-
     def step(carry, key):
-        carry, _, transitions = rollout.unroll(env, act, carry, (), key, 1)
-        outcome = transitions.outcome  # sums, so that everything is computed but not kept
+        key_action, key_env = jax.random.split(key)
+        action = envs_jax.random_actions(key_action, carry.timestep.action_mask)
+        carry, outcome = rollout.step(env, carry, action, key_env)
+        # sums, so that everything is computed but not kept
         return carry, jax.tree.map(jnp.sum, (outcome.obs, outcome.state, outcome.reward))
 
     def play(carry, key):

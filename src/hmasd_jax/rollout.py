@@ -2,7 +2,7 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Shaped
+from jaxtyping import Array, Int, Shaped
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.types import EnvCarry, Key, Memory, Metrics, StepFn, Transition
@@ -23,22 +23,28 @@ def unroll(
         Where the copies stand afterwards, the policy's memory, and transitions (length, E, ...).
     """
 
-    def step(loop, key):
+    def act_and_step(loop, key):
         carry, memory = loop
         key_policy, key_env = jax.random.split(key)
         memory, action, extras = step_fn(memory, carry.timestep, carry.first, key_policy)
-        following, outcome = _step_and_reset(env, carry, action, key_env)
+        following, outcome = step(env, carry, action, key_env)
         transition = Transition(carry.timestep, carry.first, action, extras, outcome)
         return (following, memory), transition
 
     (carry, memory), transitions = jax.lax.scan(
-        step, (carry, memory), jax.random.split(key, length)
+        act_and_step, (carry, memory), jax.random.split(key, length)
     )
     return carry, memory, transitions
 
 
-def _step_and_reset(env, carry, action, key):
-    """Step every copy; return where each stands (reset if done) and the outcome before that."""
+def step(
+    env: Environment, carry: EnvCarry, action: Int[Array, "E agents"], key: Key
+) -> tuple[EnvCarry, TimeStep]:
+    """Step all copies; an ended episode is followed by a new one.
+
+    Returns:
+        Where the copies stand afterwards, reset if done, and the outcome before that.
+    """
     num_envs = action.shape[0]
     key_step, key_reset = jax.random.split(key)
     keys_step = jax.random.split(key_step, num_envs)
