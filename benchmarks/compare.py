@@ -4,8 +4,9 @@ python benchmarks/compare.py [--jaxmarl CHECKOUT] [--json]        (needs the ext
 
 Environments: random play in ours and in what JaxMARL's package has for the same game, with 32 and
 with 1024 copies; observations and resets included. Training, given a checkout of JaxMARL
-(its trainers are not in its package): one update of ours against one of its MAPPO-RNN on SMAX 3m,
-at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
+(its trainers are not in its package): one update of our HMASD and of our MAPPO against one of its
+MAPPO-RNN on SMAX 3m, at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU
+width 64.
 """
 
 import sys
@@ -24,6 +25,7 @@ from measure import Row, alternate, compiled, isolated, parser, report
 from training import settings
 
 COPIES, STEPS = 32, 100
+ALGORITHMS = ("hmasd", "mappo")
 SMAX = ("HeuristicEnemySMAX", {"scenario": "3m"})
 PAIRS = [
     ("overcooked", {"layout": ours}, "overcooked", {"layout": theirs})
@@ -113,19 +115,23 @@ def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> 
 
 
 def bench_training(
-    env: str, algorithm: str, checkout: Path, quick: bool, repeats: int
+    env: str, algorithms: tuple[str, ...], checkout: Path, quick: bool, repeats: int
 ) -> list[Row]:
-    """One update of ours and of theirs."""
+    """One update of each of ours, and theirs."""
+    contenders = {
+        f"{name} on {env}, one update": _our_training(env, name, quick) for name in algorithms
+    }
+    theirs = _their_training(checkout, updates=1 if quick else 5)
+    return race(contenders | {"JaxMARL MAPPO-RNN on SMAX 3m": theirs}, repeats)
+
+
+def _our_training(env: str, algorithm: str, quick: bool) -> Contender:
+    """One update at the paper's settings."""
     config = settings(env, algorithm, quick)
     _, learner = configs.build(config)
     state = jax.jit(learner.init)(jax.random.key(0))
     update, compile_s = compiled(learner.update, state)
-    ours = (lambda: update(state)), compile_s, config.env_steps_per_update
-    contenders = {
-        f"{algorithm} on {env}, one update": ours,
-        "JaxMARL MAPPO-RNN on SMAX 3m": _their_training(checkout, updates=1 if quick else 5),
-    }
-    return race(contenders, repeats)
+    return lambda: update(state), compile_s, config.env_steps_per_update
 
 
 def _their_training(checkout: Path, updates: int) -> Contender:
@@ -157,6 +163,7 @@ def _their_training(checkout: Path, updates: int) -> Contender:
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__)
+    options.set_defaults(algorithm=None)  # all of `ALGORITHMS`
     options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
     args = options.parse_args()
     core = run_folder.available_cores()[0]
@@ -166,7 +173,8 @@ def main() -> None:
         for copies in (2,) if args.quick else (32, 1024):
             rows += isolated(bench_environments, pair, copies, env_steps, args.repeats, core=core)
     if args.jaxmarl:
-        work = args.env, args.algorithm, args.jaxmarl, args.quick, args.repeats
+        algorithms = (args.algorithm,) if args.algorithm else ALGORITHMS
+        work = args.env, algorithms, args.jaxmarl, args.quick, args.repeats
         rows += isolated(bench_training, *work, core=core)
     report(rows, args.json)
 
