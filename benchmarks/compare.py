@@ -21,7 +21,7 @@ import envs_jax
 from environments import random_play
 from hmasd_jax import config as configs
 from hmasd_jax import run_folder
-from measure import Row, alternate, compiled, isolated, parser, report
+from measure import Row, alternate, compiled, isolated, jitted, parser, report
 from training import settings
 
 COPIES, STEPS = 32, 100
@@ -110,7 +110,7 @@ def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> 
 
     key = jax.random.key(0)
     _, states = jax.vmap(env.reset)(jax.random.split(key, copies))
-    program, compile_s = compiled(play, states, key)
+    program, compile_s = jitted(play, states, key)
     return lambda: program(states, key), compile_s, copies * steps
 
 
@@ -156,7 +156,7 @@ def _their_training(checkout: Path, updates: int) -> Contender:
             sys.modules.pop(name) if module is None else sys.modules.update({name: module})
     env_steps = updates * COPIES * STEPS
     train = trainer.make_train(THEIR_SETTINGS | {"TOTAL_TIMESTEPS": env_steps})
-    program, compile_s = compiled(train, jax.random.PRNGKey(0))
+    program, compile_s = jitted(train, jax.random.PRNGKey(0))
     return lambda: program(jax.random.PRNGKey(0)), compile_s, env_steps
 
 

@@ -84,10 +84,16 @@ def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
 
 
 def compiled(function: Callable, *args: Any, runs_once: bool = False) -> tuple[Callable, float]:
-    """The executable of `function` for `args`, and the seconds that tracing and compiling took."""
+    """The executable that the trainer would use, and the seconds to trace and compile it."""
     start = time.perf_counter()
     executable = programs.build_executable(jax.jit(function), *args, runs_once=runs_once)
     return executable, time.perf_counter() - start
+
+
+def jitted(function: Callable, *args: Any) -> tuple[Callable, float]:
+    """The same with JAX's own settings, as everybody else's code is compiled."""
+    start = time.perf_counter()
+    return jax.jit(function).lower(*args).compile(), time.perf_counter() - start
 
 
 def peak_rss_mb() -> float:
