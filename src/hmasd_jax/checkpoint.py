@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import orbax.checkpoint as ocp
 
-from hmasd_jax.config import EXTENSIBLE
+from hmasd_jax.config import identity
 from hmasd_jax.packing import describe, from_bytes, to_bytes
 
 State = Any
@@ -181,9 +181,8 @@ def _check_config(path: Path, saved: dict, config: dict) -> None:
     A setting that the saved configuration lacks is younger than the checkpoint: its default is
     what the code did then. How far the run goes may change.
     """
-    old, new = _flatten(saved), _flatten(_as_json(config))
-    names = sorted(old.keys() - set(EXTENSIBLE))
-    fields = [k for k in names if old[k] != new.get(k, "absent")]
+    old, new = identity(saved), identity(_as_json(config))
+    fields = [k for k in sorted(old) if old[k] != new.get(k, "absent")]
     if fields:
         changes = [f"{k} (saved {_show(old, k)}, now {_show(new, k)})" for k in fields]
         raise CheckpointError(
@@ -257,17 +256,6 @@ def _path(folder: Path, step: int) -> Path:
 def _as_json(config: dict) -> dict:
     """What `config` becomes on disk: tuples turn into lists."""
     return json.loads(json.dumps(config))
-
-
-def _flatten(tree: dict, prefix: str = "") -> dict[str, Any]:
-    """Nested dictionaries as one, with dotted names."""
-    flat = {}
-    for name, value in tree.items():
-        if isinstance(value, dict) and value:
-            flat |= _flatten(value, f"{prefix}{name}.")
-        else:
-            flat[f"{prefix}{name}"] = value
-    return flat
 
 
 def _show(fields: dict, name: str) -> str:

@@ -147,6 +147,21 @@ def to_json(config: TrainConfig) -> dict[str, Any]:
     return json.loads(json.dumps(table))  # tuples become lists, as on disk
 
 
+def identity(table: dict[str, Any]) -> dict[str, Any]:
+    """By dotted name, all settings that must stay when a run is continued: not `EXTENSIBLE`."""
+    return {name: value for name, value in _flatten(table).items() if name not in EXTENSIBLE}
+
+
+def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict) and value:
+            flat |= _flatten(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
 def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
     """The environment and the algorithm that `config` describes."""
     for entry in ALGORITHMS.values():

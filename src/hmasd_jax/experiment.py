@@ -140,14 +140,13 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
     Raises:
         RunError: naming the fields that differ.
     """
-    old, new = (_flatten(configs.to_json(c)) for c in (saved, wanted))
+    old, new = (configs.identity(configs.to_json(c)) for c in (saved, wanted))
     if wanted.total_env_steps < saved.total_env_steps:
         raise run_folder.RunError(
             f"{run} has total_env_steps {saved.total_env_steps}, which can be raised but not "
             f"lowered to {wanted.total_env_steps}: resume without it, or choose another --run-dir"
         )
-    names = sorted((old | new).keys() - set(configs.EXTENSIBLE))
-    changed = [k for k in names if old.get(k) != new.get(k)]
+    changed = [k for k in sorted(old | new) if old.get(k) != new.get(k)]
     if changed:
         changes = ", ".join(f"{k} (was {old.get(k)}, now {new.get(k)})" for k in changed)
         raise run_folder.RunError(
@@ -244,15 +243,3 @@ def _default_folder(config: TrainConfig) -> Path:
     names = configs.to_json(config)
     task = f"{names['env']['name']}-{names['algorithm']['name']}"
     return Path("runs") / f"{task}-{time.strftime('%Y%m%d-%H%M%S')}"
-
-
-def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables as one, with dotted names."""
-    flat: dict[str, Any] = {}
-    for name, value in table.items():
-        flat |= (
-            _flatten(value, f"{prefix}{name}.")
-            if isinstance(value, dict)
-            else {prefix + name: value}
-        )
-    return flat
