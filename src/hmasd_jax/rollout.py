@@ -49,15 +49,18 @@ def step(
     key_step, key_reset = jax.random.split(key)
     keys_step = jax.random.split(key_step, num_envs)
     env_state, outcome = jax.vmap(env.step)(keys_step, carry.env_state, action)
-    fresh = reset(env, key_reset, num_envs)
+    reached = env_state, outcome
+
+    def restart():
+        fresh = reset(env, key_reset, num_envs)
+        return jax.tree.map(where_done, (fresh.env_state, fresh.timestep), reached)
 
     def where_done(new, old):
         done = outcome.done.reshape(num_envs, *(1,) * (new.ndim - 1))
         return jnp.where(done, new, old)
 
-    env_state, timestep = jax.tree.map(
-        where_done, (fresh.env_state, fresh.timestep), (env_state, outcome)
-    )
+    # Most steps end no episode: on a CPU, random play is up to a fourth faster for this branch.
+    env_state, timestep = jax.lax.cond(outcome.done.any(), restart, lambda: reached)
     return EnvCarry(env_state, timestep, outcome.done), outcome
 
 
