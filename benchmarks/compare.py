@@ -94,24 +94,24 @@ def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> 
     env = envs_jax.make("jaxmarl", id=name, options=words).source
     spaces = [env.action_space(agent) for agent in env.agents]
 
-    def one_step(key, state):
+    def one_step(key, state_and_obs):
+        state, _ = state_and_obs
         key_action, key_step = jax.random.split(key)
         keys = jax.random.split(key_action, len(spaces))
         actions = {a: s.sample(k) for a, s, k in zip(env.agents, spaces, keys)}
         obs, state, reward, _, _ = env.step(key_step, state, actions)
-        return state, (obs, reward)
+        return (state, obs), reward
 
-    def play(states, key):
-        def step(states, key):
-            states, out = jax.vmap(one_step)(jax.random.split(key, copies), states)
-            return states, jax.tree.map(jax.numpy.sum, out)
+    def play(carry, key):
+        def step(carry, key):
+            return jax.vmap(one_step)(jax.random.split(key, copies), carry)
 
-        return jax.lax.scan(step, states, jax.random.split(key, steps))
+        return jax.lax.scan(step, carry, jax.random.split(key, steps))
 
     key = jax.random.key(0)
-    _, states = jax.vmap(env.reset)(jax.random.split(key, copies))
-    program, compile_s = jitted(play, states, key)
-    return lambda: program(states, key), compile_s, copies * steps
+    obs, states = jax.vmap(env.reset)(jax.random.split(key, copies))
+    program, compile_s = jitted(play, (states, obs), key)
+    return lambda: program((states, obs), key), compile_s, copies * steps
 
 
 def bench_training(

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 import envs_jax
 from hmasd_jax import rollout, run_folder
@@ -25,8 +24,9 @@ def random_play(
         key_action, key_env = jax.random.split(key)
         action = envs_jax.random_actions(key_action, carry.timestep.action_mask)
         carry, outcome = rollout.step(env, carry, action, key_env)
-        # sums, so that everything is computed but not kept
-        return carry, jax.tree.map(jnp.sum, (outcome.obs, outcome.state, outcome.reward))
+        # Observations and states are in the carry, as in training: computed, and then replaced.
+        # Summing them up instead would take as long as some environments need for the step.
+        return carry, outcome.reward
 
     def play(carry, key):
         return jax.lax.scan(step, carry, jax.random.split(key, steps))
