@@ -4,13 +4,13 @@ python benchmarks/compare.py [--jaxmarl CHECKOUT] [--json]        (needs the ext
 
 Environments: random play in ours and in what JaxMARL's package has for the same game, with 32 and
 with 1024 copies; observations and resets included. Training, given a checkout of JaxMARL
-(its trainers are not in its package): one update of our HMASD and of our MAPPO against one of its
-MAPPO-RNN on SMAX 3m, at the same 32 copies x 100 steps, 15 epochs, one minibatch, hidden and GRU
-width 64.
+(its trainers are not in its package): one update of our HMASD and of our MAPPO, with two agents on
+Alice_and_Bob and with three on 3m, against one of its MAPPO-RNN on SMAX 3m, at the same 32 copies x
+100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
 """
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -26,6 +26,7 @@ from training import settings
 
 COPIES, STEPS = 32, 100
 ALGORITHMS = ("hmasd", "mappo")
+GAMES = ("alice_and_bob", "micro_battle")
 SMAX = ("HeuristicEnemySMAX", {"scenario": "3m"})
 PAIRS = [
     ("overcooked", {"layout": ours}, "overcooked", {"layout": theirs})
@@ -115,11 +116,13 @@ def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> 
 
 
 def bench_training(
-    env: str, algorithms: tuple[str, ...], checkout: Path, quick: bool, repeats: int
+    games: Sequence[str], algorithms: Sequence[str], checkout: Path, quick: bool, repeats: int
 ) -> list[Row]:
     """One update of each of ours, and theirs."""
     contenders = {
-        f"{name} on {env}, one update": _our_training(env, name, quick) for name in algorithms
+        f"{algorithm} on {game}, one update": _our_training(game, algorithm, quick)
+        for game in games
+        for algorithm in algorithms
     }
     theirs = _their_training(checkout, updates=1 if quick else 5)
     return race(contenders | {"JaxMARL MAPPO-RNN on SMAX 3m": theirs}, repeats)
@@ -163,7 +166,7 @@ def _their_training(checkout: Path, updates: int) -> Contender:
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__)
-    options.set_defaults(algorithm=None)  # all of `ALGORITHMS`
+    options.set_defaults(env=None, algorithm=None)  # all of `GAMES` and `ALGORITHMS`
     options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
     args = options.parse_args()
     core = run_folder.available_cores()[0]
@@ -173,8 +176,9 @@ def main() -> None:
         for copies in (2,) if args.quick else (32, 1024):
             rows += isolated(bench_environments, pair, copies, env_steps, args.repeats, core=core)
     if args.jaxmarl:
-        algorithms = (args.algorithm,) if args.algorithm else ALGORITHMS
-        work = args.env, algorithms, args.jaxmarl, args.quick, args.repeats
+        games = [args.env] if args.env else GAMES
+        algorithms = [args.algorithm] if args.algorithm else ALGORITHMS
+        work = games, algorithms, args.jaxmarl, args.quick, args.repeats
         rows += isolated(bench_training, *work, core=core)
     report(rows, args.json)
 
