@@ -41,18 +41,23 @@ def test_q_d_of_alice_and_bob_sees_row_and_column(name):
     np.testing.assert_array_equal(seen, state.position)
 
 
-def test_q_d_of_3m_sees_whom_an_agent_shot_at():
-    """Agent i walks east until enemy i is in reach, then shoots at it."""
-    config = configs.load(CONFIGS / "micro_battle/3m/hmasd_robust.toml")
+@pytest.mark.parametrize("scenario", ["3m", "2m_vs_1z"])
+def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
+    """Agents walk east until their enemy, each another if there are enough, is in reach; then shoot."""
+    config = configs.load(CONFIGS / f"micro_battle/{scenario}/hmasd_robust.toml")
     env, indices = config.env, jnp.array(config.algorithm.discriminator_obs)
+    enemies = env.num_actions - FIRST_ATTACK
+    target = jnp.arange(env.num_agents) % enemies
     step = jax.jit(env.step)
     state, timestep = env.reset(jax.random.key(0))
     seen = set()
     for _ in range(12):
-        shoots = timestep.action_mask[:, FIRST_ATTACK:].diagonal()
-        action = jnp.where(shoots, FIRST_ATTACK + jnp.arange(3), EAST)
+        in_reach = timestep.action_mask[:, FIRST_ATTACK:]
+        shoots = jnp.take_along_axis(in_reach, target[:, None], 1)
+        action = jnp.where(shoots[:, 0], FIRST_ATTACK + target, EAST)
         state, timestep = step(jax.random.key(1), state, action)
         alive = ~timestep.action_mask[:, 0]
-        np.testing.assert_array_equal(timestep.obs[alive][:, indices], jnp.diag(shoots)[alive])
-        seen |= set(np.flatnonzero(shoots & alive))
-    assert seen == {0, 1, 2}
+        shot_at = shoots & (target[:, None] == jnp.arange(enemies))
+        np.testing.assert_array_equal(timestep.obs[alive][:, indices], shot_at[alive])
+        seen |= set(np.flatnonzero(shot_at[alive].any(0)))
+    assert seen == set(range(enemies))
