@@ -43,7 +43,7 @@ def test_q_d_of_alice_and_bob_sees_row_and_column(name):
 
 @pytest.mark.parametrize("scenario", ["3m", "2m_vs_1z"])
 def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
-    """Agents walk east until their enemy, each another if there are enough, is in reach; then shoot."""
+    """Agents walk east until an enemy of their own, if there are enough, is in reach, and shoot."""
     config = configs.load(CONFIGS / f"micro_battle/{scenario}/hmasd_robust.toml")
     env, indices = config.env, jnp.array(config.algorithm.discriminator_obs)
     enemies = env.num_actions - FIRST_ATTACK
