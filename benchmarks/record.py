@@ -29,8 +29,8 @@ BENCHMARKS = {
 }
 
 
-def run(name: str) -> None:
-    """Run one benchmark; its rows go to results/benchmarks/NAME.json.
+def run(name: str, about: dict[str, Any]) -> None:
+    """Run one benchmark; its rows go to results/benchmarks/NAME.json, with what it is run on.
 
     Raises:
         SystemExit: it failed.
@@ -39,7 +39,6 @@ def run(name: str) -> None:
     done = subprocess.run([sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         raise SystemExit(f"{name} failed")
-    about = run_folder.describe([])
     kept = {
         "command": f"python {BENCHMARKS[name]}",
         **{key: about[key] for key in ABOUT},
@@ -77,8 +76,9 @@ def write_page() -> None:
 
 
 if __name__ == "__main__":
+    about = run_folder.describe([])  # now: the first file written makes the checkout differ
     for name in sys.argv[1:]:
         if name not in BENCHMARKS:
             raise SystemExit(f"unknown benchmark {name!r} (known: {', '.join(BENCHMARKS)})")
-        run(name)
+        run(name, about)
     write_page()
