@@ -75,10 +75,21 @@ def write_page() -> None:
     PAGE.write_text(page)
 
 
-if __name__ == "__main__":
-    about = run_folder.describe([])  # now: the first file written makes the checkout differ
-    for name in sys.argv[1:]:
+def main(names: list[str]) -> None:
+    """Run the named benchmarks, then write the page.
+
+    Raises:
+        SystemExit: there is none of that name, or one failed.
+    """
+    for name in names:
         if name not in BENCHMARKS:
             raise SystemExit(f"unknown benchmark {name!r} (known: {', '.join(BENCHMARKS)})")
+    # Once, and first: what is written afterwards makes the checkout differ from its commit.
+    about = run_folder.describe([]) if names else {}
+    for name in names:
         run(name, about)
     write_page()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
