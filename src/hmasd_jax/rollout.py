@@ -59,7 +59,7 @@ def step(
         done = outcome.done.reshape(num_envs, *(1,) * (new.ndim - 1))
         return jnp.where(done, new, old)
 
-    # Most steps end no episode: on a CPU, random play is up to a fourth faster for this branch.
+    # Most steps end no episode, and need no reset prepared.
     env_state, timestep = jax.lax.cond(outcome.done.any(), restart, lambda: reached)
     return EnvCarry(env_state, timestep, outcome.done), outcome
 
