@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.networks import GRU, MLP, LayerNorm, RecurrentNet, dense, mask_logits
+from hmasd_jax.gru import GRU, gru_cell
+from hmasd_jax.layer_norm import LayerNorm, Normed, NormedDense, join, standardize
+from hmasd_jax.networks import MLP, RecurrentNet, dense, mask_logits
 
 TIME, BATCH, INPUTS, SIZE = 5, 3, 4, 8
 
@@ -62,6 +64,11 @@ def numpy_gru(h, x, first, params):
     return h, np.stack(outputs)
 
 
+def _plain(x):
+    """Inputs that no LayerNorm scales or shifts."""
+    return Normed(x, np.ones(x.shape[-1], np.float32), np.zeros(x.shape[-1], np.float32))
+
+
 def _sequence(size=SIZE):
     rng = np.random.default_rng(0)
     memory = rng.normal(size=(BATCH, SIZE)).astype(np.float32)
@@ -101,25 +108,70 @@ def test_mlp_is_layer_norm_then_two_blocks_of_linear_relu_layer_norm():
     _, x, _ = _sequence(INPUTS)
     mlp = MLP(SIZE)
     params = randomize(init(mlp, x))
-    assert_allclose(apply(mlp, params, x), numpy_mlp(x, params["params"]), atol=1e-5)
+    x_hat, scale, shift = apply(mlp, params, x)
+    assert_allclose(x_hat * scale + shift, numpy_mlp(x, params["params"]), atol=1e-5)
 
 
 def test_gru_matches_pytorchs_and_forgets_where_an_episode_begins():
     memory, x, first = _sequence()
     gru = GRU(SIZE)
-    params = randomize(init(gru, memory, x, first))
-    last, outputs = apply(gru, params, memory, x, first)
+    params = randomize(init(gru, memory, _plain(x), first))
+    last, outputs = apply(gru, params, memory, _plain(x), first)
     expected_last, expected = numpy_gru(memory, x, first, params["params"])
     assert_allclose(outputs, expected, atol=1e-5)
     assert_allclose(last, expected_last, atol=1e-5)
 
 
+def test_the_written_gradient_of_the_gru_cell_is_that_of_its_formula():
+    def formula(h, from_input, from_memory):
+        (i_r, i_z, i_n), (h_r, h_z, h_n) = jnp.split(from_input, 3), jnp.split(from_memory, 3)
+        r, z = jax.nn.sigmoid(i_r + h_r), jax.nn.sigmoid(i_z + h_z)
+        return (1 - z) * jnp.tanh(i_n + r * h_n) + z * h
+
+    rng = np.random.default_rng(3)
+    inputs = [rng.normal(size=n).astype(np.float32) for n in (SIZE, 3 * SIZE, 3 * SIZE)]
+    for ours, expected in zip(*(jax.jacrev(f, (0, 1, 2))(*inputs) for f in (gru_cell, formula))):
+        assert abs(expected).max() > 0.1
+        assert_allclose(ours, expected, atol=1e-6)
+
+
+def test_the_written_gradient_of_standardize_is_that_of_its_formula():
+    def formula(x):
+        deviation = x - x.mean(-1, keepdims=True)
+        return deviation / jnp.sqrt((deviation**2).mean(-1, keepdims=True) + 1e-5)
+
+    x = np.random.default_rng(4).normal(size=(2, SIZE)).astype(np.float32)
+    expected = jax.jacrev(formula)(x)
+    assert abs(expected).max() > 0.1
+    assert_allclose(jax.jacrev(standardize)(x), expected, atol=1e-5)
+
+
+def test_a_linear_layer_that_takes_in_scale_and_shift_learns_as_the_two_layers_apart():
+    rng = np.random.default_rng(5)
+    x, more, *shapes = (rng.normal(size=s) for s in ((BATCH, SIZE), (BATCH, 2), SIZE, SIZE))
+    scale, shift = shapes
+    layer = NormedDense(INPUTS, 1.0)
+    params = randomize(init(layer, join(Normed(x, scale, shift), more)))
+
+    def loss(params, scale, shift):
+        return (layer.apply(params, join(Normed(x, scale, shift), more)) ** 2).sum()
+
+    def loss_apart(params, scale, shift):
+        inputs = jnp.concatenate([x * scale + shift, more], axis=-1)
+        return (numpy_linear(inputs, params["params"]) ** 2).sum()
+
+    both = (jax.value_and_grad(f, (0, 1, 2))(params, scale, shift) for f in (loss, loss_apart))
+    jax.tree.map(
+        lambda ours, expected: assert_allclose(ours, expected, rtol=1e-3, atol=1e-4), *both
+    )
+
+
 def test_what_came_before_first_has_no_effect_and_what_came_before_others_has():
     memory, x, first = _sequence()
     gru = GRU(SIZE)
-    params = init(gru, memory, x, first)
-    _, outputs = apply(gru, params, memory, x, first)
-    _, changed = apply(gru, params, memory + 1.0, x, first)
+    params = init(gru, memory, _plain(x), first)
+    _, outputs = apply(gru, params, memory, _plain(x), first)
+    _, changed = apply(gru, params, memory + 1.0, _plain(x), first)
     # Row 0 resets at step 0, row 1 at step 2, row 2 never.
     np.testing.assert_array_equal(changed[:, 0], outputs[:, 0])
     np.testing.assert_array_equal(changed[2:, 1], outputs[2:, 1])
@@ -130,17 +182,17 @@ def test_what_came_before_first_has_no_effect_and_what_came_before_others_has():
 def test_gru_in_two_halves_is_gru_in_one():
     memory, x, first = _sequence()
     gru = GRU(SIZE)
-    params = init(gru, memory, x, first)
-    last, outputs = apply(gru, params, memory, x, first)
-    middle, head = apply(gru, params, memory, x[:2], first[:2])
-    end, tail = apply(gru, params, middle, x[2:], first[2:])
+    params = init(gru, memory, _plain(x), first)
+    last, outputs = apply(gru, params, memory, _plain(x), first)
+    middle, head = apply(gru, params, memory, _plain(x[:2]), first[:2])
+    end, tail = apply(gru, params, middle, _plain(x[2:]), first[2:])
     assert_allclose(np.concatenate([head, tail]), outputs, atol=1e-6)
     assert_allclose(end, last, atol=1e-6)
 
 
 def test_gru_weights_are_orthogonal_as_one_stacked_matrix():
     memory, x, first = _sequence()
-    params = init(GRU(SIZE), memory, x, first)["params"]
+    params = init(GRU(SIZE), memory, _plain(x), first)["params"]
     for kernel in (params["kernel"], params["input"]["kernel"]):
         assert kernel.shape == (SIZE, 3 * SIZE)
         assert_allclose(kernel @ kernel.T, np.eye(SIZE), atol=1e-5)

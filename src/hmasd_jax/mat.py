@@ -21,7 +21,8 @@ from hmasd_jax import rollout as rollouts
 from hmasd_jax.actor_critic import agents_loss
 from hmasd_jax.baselines import MATConfig
 from hmasd_jax.gae import normalize_advantage, rollout_advantage
-from hmasd_jax.networks import RELU_GAIN, LayerNorm, apply, dense, mask_logits
+from hmasd_jax.layer_norm import LayerNorm
+from hmasd_jax.networks import RELU_GAIN, apply, dense, mask_logits
 from hmasd_jax.ppo import has_choice
 from hmasd_jax.sgd import make_optimizer, ppo_epochs
 from hmasd_jax.transformer import (

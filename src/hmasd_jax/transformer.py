@@ -4,6 +4,7 @@ Post-norm, no dropout, no positional embedding. Linear layers that feed a GELU a
 gain sqrt(2); all others have gain 0.01.
 """
 
+import math
 from collections.abc import Callable, Sequence
 
 import distrax
@@ -12,15 +13,16 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float, Int
 
-from hmasd_jax.networks import MASKED_LOGIT, RELU_GAIN, LayerNorm, dense
+from hmasd_jax.layer_norm import LayerNorm, NormedDense
+from hmasd_jax.networks import MASKED_LOGIT, RELU_GAIN, dense
 from hmasd_jax.types import Key
 
 SMALL_GAIN = 0.01
 
 
 def gelu(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """GELU in its exact form, PyTorch's default (JAX's is the tanh approximation)."""
-    return nn.gelu(x, approximate=False)
+    """GELU in its exact form, by erf as PyTorch's default is; JAX's takes erfc, which is slower."""
+    return 0.5 * x * (1.0 + jax.lax.erf(x * math.sqrt(0.5)))
 
 
 class Attention(nn.Module):
@@ -103,8 +105,8 @@ class Head(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*batch size"]) -> Float[Array, "*batch outputs"]:
         """Outputs per token."""
-        x = LayerNorm()(gelu(dense(self.size, RELU_GAIN)(x)))
-        return dense(self.num_outputs, SMALL_GAIN)(x)
+        hidden = LayerNorm().in_parts(gelu(dense(self.size, RELU_GAIN)(x)))
+        return NormedDense(self.num_outputs, SMALL_GAIN, name="Dense_1")(hidden)
 
 
 def decoder_inputs(

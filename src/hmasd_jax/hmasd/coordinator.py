@@ -13,7 +13,8 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RELU_GAIN, LayerNorm, apply, dense, mask_logits
+from hmasd_jax.layer_norm import LayerNorm
+from hmasd_jax.networks import RELU_GAIN, apply, dense, mask_logits
 from hmasd_jax.ppo import ppo_loss
 from hmasd_jax.transformer import (
     DecoderBlock,

@@ -8,7 +8,8 @@ from flax import linen as nn
 from jaxtyping import Array, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import MLP, apply, dense
+from hmasd_jax.layer_norm import NormedDense
+from hmasd_jax.networks import MLP, apply
 from hmasd_jax.transformer import SMALL_GAIN
 from hmasd_jax.types import Key, Metrics
 
@@ -22,7 +23,8 @@ class Classifier(nn.Module):
     @nn.compact
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch classes"]:
         """Log-probabilities of the classes."""
-        logits = dense(self.num_classes, SMALL_GAIN, name="head")(MLP(self.hidden_size)(x))
+        features = MLP(self.hidden_size)(x)
+        logits = NormedDense(self.num_classes, SMALL_GAIN, name="head")(features)
         return jax.nn.log_softmax(logits)
 
 
