@@ -75,13 +75,15 @@ def test_draws_a_result_beside_another(tmp_path, monkeypatch, metric, scale, lab
     monkeypatch.setattr(plot, "save", lambda figure, out: drawn.append(figure) or out)
     values = (scale * np.array([[0.0, 0.5, 1.0], [0.1, 0.6, 0.9]])).tolist()
     result = tmp_path / "hmasd.json"
-    result.write_text(json.dumps({"metric": metric, "env_steps": [0, 10, 20], "values": values}))
+    record = {"metric": metric, "env_steps": [0, 10, 20], "values": values}
+    result.write_text(json.dumps(record))
     final = 0.74 * scale, 0.26 * scale
     other = plot.Reference("paper", (5, 15), (0.2 * scale, 0.7 * scale), final)
     plot.plot_result(result, tmp_path / "result.png", other)
+    result.write_text(json.dumps(record | {"values": values[:1]}))
     plot.plot_result(result, tmp_path / "alone.png")
     legends = [figure.axes[0].get_legend_handles_labels()[1] for figure in drawn]
-    assert legends == [["hmasd (2 seeds)", "paper", label], ["hmasd (2 seeds)"]]
+    assert legends == [["hmasd (2 seeds)", "paper", label], ["hmasd (1 seed)"]]
 
 
 def test_labels_are_algorithms_only_if_they_differ(tmp_path):

@@ -115,7 +115,8 @@ def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
     record = json.loads(Path(result).read_text())
     steps = np.asarray(record["env_steps"], float)
     curves = [(steps, np.asarray(values, float)) for values in record["values"]]
-    return f"{Path(result).stem} ({len(curves)} seeds)", curves
+    seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
+    return f"{Path(result).stem} ({seeds})", curves
 
 
 def read_evaluations(run: Path, metric: str) -> list[Curve]:
