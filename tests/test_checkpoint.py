@@ -229,6 +229,19 @@ def test_full_disk_leaves_earlier_checkpoints(folder, template, monkeypatch):
     assert checkpoint.restore(folder, template, CONFIG)[1] == 300
 
 
+@pytest.mark.parametrize("error", [FileNotFoundError, NotADirectoryError])
+def test_a_checkpoint_deleted_while_all_are_listed(folder, monkeypatch, error):
+    manager, errors = ocp.CheckpointManager, [error("deleted by a training process"), None]
+
+    def open_manager(*args, **options):
+        if (problem := errors.pop(0)) is not None:
+            raise problem
+        return manager(*args, **options)
+
+    monkeypatch.setattr(ocp, "CheckpointManager", open_manager)
+    assert checkpoint.steps(folder) == [100, 200, 300]
+
+
 SCRIPT = """
 import os, resource, signal, sys, threading
 from pathlib import Path

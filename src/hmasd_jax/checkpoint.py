@@ -244,7 +244,7 @@ def _manager(folder: Path, **options: Any) -> Iterator[ocp.CheckpointManager]:
 def _open(folder: Path, settings: ocp.CheckpointManagerOptions) -> ocp.CheckpointManager:
     """Try again if a training process deletes an old checkpoint while orbax lists them all."""
     for _ in range(10):
-        with suppress(FileNotFoundError):
+        with suppress(FileNotFoundError, NotADirectoryError):
             return ocp.CheckpointManager(folder, options=settings)
     return ocp.CheckpointManager(folder, options=settings)
 
