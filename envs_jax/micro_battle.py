@@ -8,7 +8,7 @@ modelled and what is not: docs/micro_battle.md.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -35,8 +35,6 @@ from envs_jax.choices import check_choice
 from envs_jax.types import TimeStep
 
 TICKS_PER_STEP = 8
-BLOCK = 256
-"""Copies that a CPU steps at a time, where there are many."""
 
 
 class MicroBattleState(NamedTuple):
@@ -128,8 +126,8 @@ class MicroBattle:
     def reset(self, key: jax.Array) -> tuple[MicroBattleState, TimeStep]:
         """Place all units where the scenario has them, up to 0.1 cells off."""
         num_units = self.num_agents + len(self.layout.enemies)
-        # Half a word is random enough for a coordinate, and every copy prepares a reset at every
-        # step: one word per unit, and one for the goal.
+        # Half a word is random enough for a coordinate, and all copies prepare a reset whenever
+        # one needs it: one word per unit, and one for the goal.
         return _copies_last(self._begin)(jax.random.bits(key, (num_units + 1,)))
 
     def step(
@@ -253,30 +251,13 @@ def _copies_last(function: Callable) -> Callable:
 
     @batched.def_vmap
     def rule(size, is_batched, *args):
-        args = jax.tree.map(
-            lambda x, has_copies: x if has_copies else jnp.broadcast_to(x, (size, *x.shape)),
-            args,
-            tuple(is_batched),
-        )
-        whole = partial(_move_copies, _copies_last(function))
-        if size > BLOCK and size % BLOCK == 0:
-            blocks = partial(_in_blocks, whole)
-            out = jax.lax.platform_dependent(*args, cpu=blocks, default=whole)
-        else:
-            out = whole(*args)
+        def move(x, has_copies):
+            if has_copies:
+                return jnp.moveaxis(x, 0, -1)
+            return jnp.broadcast_to(x[..., None], (*x.shape, size))
+
+        out = _copies_last(function)(*jax.tree.map(move, args, tuple(is_batched)))
+        out = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), out)
         return out, jax.tree.map(lambda _: True, out)
 
     return batched
-
-
-def _move_copies(function: Callable, *args):
-    """Call `function`, which has the copies axis last, on arrays that have it first."""
-    out = function(*jax.tree.map(lambda x: jnp.moveaxis(x, 0, -1), args))
-    return jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), out)
-
-
-def _in_blocks(function: Callable, *args):
-    """Call `function` on `BLOCK` copies at a time: what they need stays in the nearest caches."""
-    blocks = jax.tree.map(lambda x: x.reshape(-1, BLOCK, *x.shape[1:]), args)
-    out = jax.lax.map(lambda block: function(*block), blocks)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), out)
