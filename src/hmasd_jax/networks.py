@@ -36,7 +36,7 @@ class MLP(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Normed:
-        """Map features to hidden features."""
+        """Map features to hidden features, whose scale and shift are left to the next layer."""
         hidden = LayerNorm().in_parts(rows(x))
         for i in range(self.num_layers):
             linear = NormedDense(self.hidden_size, RELU_GAIN, name=f"Dense_{i}")
