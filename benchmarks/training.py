@@ -29,6 +29,7 @@ def settings(env: str, algorithm: str, quick: bool, **overrides: Any) -> configs
 
 def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tuple]]:
     """The parts of one update of HMASD, each with arguments from a real rollout."""
+    from hmasd_jax import rollout as rollouts
     from hmasd_jax.hmasd import algorithm
     from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
     from hmasd_jax.hmasd.collect import collect
@@ -54,7 +55,10 @@ def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tu
             algorithm.train_discoverer,
             low_batch(parts, networks[1], state.discoverer_norm, data, reward),
         ),
-        "discriminators": (algorithm.train_discriminators, skill_pairs(parts, data)),
+        "discriminators": (
+            algorithm.train_discriminators,
+            rollouts.flatten(skill_pairs(parts, data)),
+        ),
     }
     for name, (train, batch) in phases.items():
         yield name, lambda *args, train=train: train(parts, *args), (state, batch, key)

@@ -100,12 +100,13 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         key_collect,
     )
     key_noise, key_pairs = jax.random.split(key_pairs)
-    pairs = observe(skill_pairs(parts, rollout), parts.config, key_noise)
+    pairs = rollouts.flatten(observe(skill_pairs(parts, rollout), parts.config, key_noise))
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )
     team_reward = rollout.transitions.outcome.reward
-    reward = low_level_reward(team_reward, log_q_team, log_q_individual, parts.config)
+    reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
+    reward = reward.reshape(*team_reward.shape, -1)
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
@@ -182,4 +183,4 @@ def train_discriminators(
         )
 
     epochs = parts.config.discriminator_epochs
-    return sgd_epochs(step, state.discriminators, rollouts.flatten(pairs), key, epochs, 1)
+    return sgd_epochs(step, state.discriminators, pairs, key, epochs, 1)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from hmasd_jax.actor_critic import ActorCriticMemory
 from hmasd_jax.gae import gae, normalize_advantage, rollout_advantage
@@ -66,20 +66,22 @@ def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
         obs=transitions.timestep.obs,
         assignment=extras.assignment,
         reward=high_level_reward(outcome.reward, last),
-        next_value=jnp.take_along_axis(next_value, end[..., None], axis=0),
-        terminated=jnp.take_along_axis(terminated, end, axis=0),
-        done=jnp.take_along_axis(outcome.done, end, axis=0),
+        next_value=_at(end, next_value),
+        terminated=_at(end, terminated),
+        done=_at(end, outcome.done),
         begins=extras.renewed,
     )
+
+
+def _at(steps: Int[Array, "T E"], x: Shaped[Array, "T E *rest"]) -> Shaped[Array, "T E *rest"]:
+    """Take from each copy what it has at other steps."""
+    return x[steps, jnp.arange(steps.shape[1])]
 
 
 def _in_front(segments: Segments) -> Segments:
     """Along time, move the beginnings of segments to the front, in order."""
     order = jnp.argsort(~segments.begins, axis=0, stable=True)
-    return jax.tree.map(
-        lambda x: jnp.take_along_axis(x, order.reshape(*order.shape, *(1,) * (x.ndim - 2)), 0),
-        segments,
-    )
+    return jax.tree.map(lambda x: _at(order, x), segments)
 
 
 def high_batch(
