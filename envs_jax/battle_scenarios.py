@@ -14,8 +14,8 @@ from envs_jax.battle_units import UNIT_TYPES
 Rectangle = tuple[int, int, int, int]
 Point = tuple[float, float]
 
-JITTER = (-0.1, 0.1)
-"""Bounds of what is added to each coordinate of where a unit starts."""
+JITTER = 0.1
+"""How far off its place a unit starts at most, in any direction."""
 
 
 @dataclass(frozen=True)
@@ -78,11 +78,12 @@ class Scenario:
                 raise ValueError(f"{where}: unknown unit {spawn.unit!r}; choose from {known}")
             if side == "allies" and not UNIT_TYPES["multi"][spawn.unit].speed:
                 raise ValueError(f"{where}: a {spawn.unit} cannot move, so it cannot be an agent's")
-            corners = [(spawn.x + dx, spawn.y + dy) for dx in JITTER for dy in JITTER]
+            offsets = (-JITTER, JITTER)
+            corners = [(spawn.x + dx, spawn.y + dy) for dx in offsets for dy in offsets]
             if not all(is_floor(self.floor, x, y) for x, y in corners):
                 raise ValueError(
                     f"{where}: the {spawn.unit} at ({spawn.x}, {spawn.y}) starts in a wall, or "
-                    f"less than {JITTER[1]} from one; move it onto the floor"
+                    f"less than {JITTER} from one; move it onto the floor"
                 )
             others = (*self.allies, *self.enemies)
             if sum((o.x, o.y) == (spawn.x, spawn.y) for o in others) > 1:

@@ -124,7 +124,7 @@ class MicroBattle:
         return tuple(ALLIES[i % len(ALLIES)] for i in range(self.num_agents))
 
     def reset(self, key: jax.Array) -> tuple[MicroBattleState, TimeStep]:
-        """Place all units where the scenario has them, up to 0.1 cells off."""
+        """Place all units up to 0.1 cells off where the scenario has them, in any direction."""
         num_units = self.num_agents + len(self.layout.enemies)
         # Half a word is random enough for a coordinate, and all copies prepare a reset whenever
         # one needs it: one word per unit, and one for the goal.
@@ -142,7 +142,9 @@ class MicroBattle:
         scenario, copies = self.layout, bits.shape[1:]
         roster = make_roster(scenario, self.balance, len(copies))
         fractions = jnp.stack([bits & 0xFFFF, bits >> 16]).astype(jnp.float32) / 2**16
-        jitter = JITTER[0] + (JITTER[1] - JITTER[0]) * fractions[:, :-1]
+        area, turn = fractions[:, :-1]  # a point of a disc
+        angle = 2 * jnp.pi * turn
+        jitter = JITTER * jnp.sqrt(area) * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         spawns = (*scenario.allies, *scenario.enemies)
         start = column(np.array([[s.x for s in spawns], [s.y for s in spawns]]), len(copies))
         x, y = start + jnp.where(roster.speed > 0, jitter, 0)  # a building has its fixed place

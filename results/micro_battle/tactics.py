@@ -33,13 +33,13 @@ HIDING = [
 
 def main() -> None:
     """Play, print and write."""
-    usual = micro_battle.JITTER[1]
+    usual = micro_battle.JITTER
     rows = []
     for scenario, balance, tactic, noise, jitter in [
         *((*row[:4], usual) for row in (*LISTED, *HIDING)),
         *STARTS,
     ]:
-        micro_battle.JITTER = (-jitter, jitter)
+        micro_battle.JITTER = jitter
         micro_battle._copies_last.cache_clear()  # compiled with the other distance
         play = TACTICS["make_play"](micro_battle.MicroBattle(scenario, balance), EPISODES)
         won, late, _ = play(tactic, noise, seed=0)

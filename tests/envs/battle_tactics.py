@@ -97,6 +97,7 @@ hold_nearest = partial(hold, score=lambda scene: scene.away)
 hold_weakest = partial(hold, score=lambda scene: scene.enemy_total)
 walk_nearest = partial(hold, score=lambda scene: scene.away, walk=True)
 advance_first = partial(hold, score=lambda scene: jnp.arange(scene.away.shape[1]), walk=True)
+advance_middle = partial(hold, score=lambda scene: jnp.array([1, 0, 2]), walk=True)
 
 
 def alternate(scene, memory, key):
@@ -109,10 +110,11 @@ def alternate(scene, memory, key):
     return jnp.where(runs, flee(scene, enemy), shoots), memory
 
 
-def swap(scene, memory, key, rest):
+def swap(scene, memory, key, rest, near=6.0, back=8.7):
     """Against the spine crawler: the first stalker that is low steps out of reach and comes back.
 
     If they may `rest`, both leave once both are low, until shields are full, and attack again.
+    They shoot from within `near`; who steps out comes back from farther than `back`.
 
     Memory counts: 0 attack, 1 the first is out, 2 attack again, 3 both rest, 4 attack to the end.
     """
@@ -120,14 +122,14 @@ def swap(scene, memory, key, rest):
     away, low = scene.away[:, 0], scene.total <= LOW
     first = scene.total.argmin()
     memory = jnp.where((memory == 0) & low.any(), 1, memory)
-    memory = jnp.where((memory == 1) & (away[first] > 8.7), 2, memory)
+    memory = jnp.where((memory == 1) & (away[first] > back), 2, memory)
     memory = jnp.where((memory <= 2) & low.all() & rest, 3, memory)
     memory = jnp.where((memory == 3) & (scene.shield_share >= 1).all(), 4, memory)
     enemy = jnp.zeros(len(away), int)
     leaves = ((memory == 1) & (jnp.arange(len(away)) == first)) | (memory == 3)
-    shoots = jnp.where(scene.attackable[:, 0], FIRST_ATTACK, approach(scene, enemy))
-    is_out = scene.away[:, 0] > 9.5
-    return jnp.where(leaves, jnp.where(is_out, STOP, flee(scene, enemy)), shoots), memory
+    may_shoot = scene.attackable[:, 0] & (away <= near)
+    shoots = jnp.where(may_shoot, FIRST_ATTACK, approach(scene, enemy))
+    return jnp.where(leaves, jnp.where(away > 9.2, STOP, flee(scene, enemy)), shoots), memory
 
 
 def go(scene, memory, key, first, second):
@@ -145,8 +147,9 @@ TACTICS = {
     "hold, random target": hold_random,
     "hold, weakest": hold_weakest,
     "advance, first": advance_first,
+    "advance, middle first": advance_middle,
     "alternate": alternate,
-    "swap": partial(swap, rest=False),
+    "swap": partial(swap, rest=False, near=5.5, back=8.5),
     "swap and rest": partial(swap, rest=True),
     "hide in the corner": partial(go, first=SOUTH, second=WEST),
     "hide at the bottom": partial(go, first=SOUTH, second=STOP),
