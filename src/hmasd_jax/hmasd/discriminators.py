@@ -103,10 +103,10 @@ def log_q(
 
 
 def _in_use(
-    log_q: Float[Array, "*batch skills"], skill: Int[Array, "*batch"]
+    values: Float[Array, "*batch skills"], skill: Int[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
     """Choose by a mask: choosing by an index takes longer to compile, and so does its gradient."""
-    return jnp.where(jax.nn.one_hot(skill, log_q.shape[-1], dtype=bool), log_q, 0.0).sum(-1)
+    return jnp.where(jax.nn.one_hot(skill, values.shape[-1], dtype=bool), values, 0.0).sum(-1)
 
 
 def log_q_of_skills(
