@@ -22,7 +22,8 @@ KEPT = ROOT / "results" / "benchmarks"
 BENCHMARKS = {
     "environments": "benchmarks/environments.py",
     "training": "benchmarks/training.py",
-    "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc 3effb21 2856573 7dc47dd 65773a2",
+    "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc 3effb21 2856573 7dc47dd 65773a2"
+    " 57e879c",
     "seeds": "benchmarks/seeds.py --seeds 1 4",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
