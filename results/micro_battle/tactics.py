@@ -42,7 +42,7 @@ def main() -> None:
         micro_battle.JITTER = jitter
         micro_battle._copies_last.cache_clear()  # compiled with the other distance
         play = TACTICS["make_play"](micro_battle.MicroBattle(scenario, balance), EPISODES)
-        won, late, _ = play(tactic, noise, seed=0)
+        won, late, *_ = play(tactic, noise, seed=0)
         rows.append(
             {
                 "scenario": scenario,

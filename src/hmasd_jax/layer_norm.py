@@ -68,16 +68,14 @@ def scale_inputs(
 ) -> Float[Array, "features outputs"]:
     """Weights that act on x as `kernel` does on x * scale.
 
-    The gradient's sums are written as a product: as sums XLA splits them into several programs,
-    which take longer to compile. Not for forward-mode differentiation.
+    The gradient is written down to sum as `_mean` does. Not for forward-mode differentiation.
     """
     return scale[:, None] * kernel
 
 
 def _scale_inputs_gradient(saved, gradient):
     kernel, scale = saved
-    ones = jnp.ones((kernel.shape[1], 1))
-    return scale[:, None] * gradient, jnp.matmul(gradient * kernel, ones, precision="highest")[:, 0]
+    return scale[:, None] * gradient, kernel.shape[1] * _mean(gradient * kernel)[:, 0]
 
 
 scale_inputs.defvjp(
@@ -120,7 +118,7 @@ standardize.defvjp(_standardize, _standardize_gradient)
 
 
 def _mean(x: Float[Array, "*batch features"]) -> Float[Array, "*batch 1"]:
-    """As a matrix product: XLA splits a sum over an axis into several, slower programs."""
+    """As a matrix product: XLA splits a sum into several programs, slower to run and compile."""
     average = jnp.full((x.shape[-1], 1), 1.0 / x.shape[-1])
     # "highest" is float32: a GPU's default would round the factors.
     return jnp.matmul(x, average, precision="highest")

@@ -93,11 +93,15 @@ def hold_random(scene, memory, key):
     return hold(scene, memory, key, lambda scene: chance)
 
 
+def _from_middle(count):
+    return abs(jnp.arange(count) - count // 2)
+
+
 hold_nearest = partial(hold, score=lambda scene: scene.away)
 hold_weakest = partial(hold, score=lambda scene: scene.enemy_total)
 walk_nearest = partial(hold, score=lambda scene: scene.away, walk=True)
 advance_first = partial(hold, score=lambda scene: jnp.arange(scene.away.shape[1]), walk=True)
-advance_middle = partial(hold, score=lambda scene: jnp.array([1, 0, 2]), walk=True)
+advance_middle = partial(hold, score=lambda scene: _from_middle(scene.away.shape[1]), walk=True)
 
 
 def alternate(scene, memory, key):
@@ -159,7 +163,8 @@ TACTICS = {
 def make_play(env: MicroBattle, episodes: int):
     """A compiled function of (index in `TACTICS`, share of random actions, key).
 
-    It returns per episode whether it was won, whether time ran out, and steps; all (episodes,).
+    It returns per episode whether it was won, whether time ran out, steps, and what health the
+    enemies had left; all (episodes,).
     """
 
     @jax.jit
@@ -176,19 +181,22 @@ def make_play(env: MicroBattle, episodes: int):
             return jnp.where(mask[:, STOP], action, 0).astype(jnp.int32), memory
 
         def step(carry, key):
-            env_state, mask, memory, over = carry
+            env_state, mask, memory, over, left = carry
             keys = jax.random.split(key, (2, episodes))
             action, memory = jax.vmap(act)(start, env_state, mask, memory, keys[0])
             env_state, timestep = jax.vmap(env.step)(keys[1], env_state, action)
             won, late = (timestep.reward > 0) & ~over, timestep.truncated & ~over
-            carry = env_state, timestep.action_mask, memory, over | timestep.done
+            left = jnp.where(over, left, env_state.units.health[:, env.num_agents :].sum(1))
+            carry = env_state, timestep.action_mask, memory, over | timestep.done, left
             return carry, (won, late, ~over)
 
-        carry = start, timestep.action_mask, jnp.zeros(episodes, int), jnp.zeros(episodes, bool)
-        _, (won, late, active) = jax.lax.scan(
-            step, carry, jax.random.split(key_play, env.max_steps)
+        nothing = [jnp.zeros(episodes, dtype) for dtype in (int, bool, float)]
+        carry, (won, late, active) = jax.lax.scan(
+            step,
+            (start, timestep.action_mask, *nothing),
+            jax.random.split(key_play, env.max_steps),
         )
-        return won.any(0), late.any(0), active.sum(0)
+        return won.any(0), late.any(0), active.sum(0), carry[-1]
 
     names = list(TACTICS)
     return lambda tactic, noise=0.0, seed=0: play(names.index(tactic), noise, jax.random.key(seed))

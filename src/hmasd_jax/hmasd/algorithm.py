@@ -100,6 +100,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         key_collect,
     )
     key_noise, key_pairs = jax.random.split(key_pairs)
+    # One sample per step, as they are trained on: what has the same shape is compiled only once.
     pairs = rollouts.flatten(observe(skill_pairs(parts, rollout), parts.config, key_noise))
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
