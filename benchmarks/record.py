@@ -24,7 +24,7 @@ BENCHMARKS = {
     "training": "benchmarks/training.py",
     "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc 3effb21 2856573 7dc47dd 65773a2"
     " 57e879c",
-    "seeds": "benchmarks/seeds.py --seeds 1 4",
+    "seeds": "benchmarks/seeds.py",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
 }
