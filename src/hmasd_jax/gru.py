@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
+from hmasd_jax.initializers import orthogonal
 from hmasd_jax.layer_norm import Normed, NormedDense
 
 
@@ -28,7 +29,7 @@ class GRU(nn.Module):
         size = self.hidden_size
         # Orthogonal as one stacked matrix, not gate by gate, as PyTorch's initializer does it.
         input_kernel, input_bias = NormedDense(3 * size, 1.0, name="input").weights(inputs)
-        kernel = self.param("kernel", nn.initializers.orthogonal(1.0), (size, 3 * size))
+        kernel = self.param("kernel", orthogonal(1.0), (size, 3 * size))
         bias = self.param("bias", nn.initializers.zeros_init(), (3 * size,))
 
         def step(h, inputs):

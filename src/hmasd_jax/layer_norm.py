@@ -7,6 +7,8 @@ import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Float
 
+from hmasd_jax.initializers import orthogonal
+
 EPSILON = 1e-5
 
 
@@ -56,7 +58,7 @@ class NormedDense(nn.Module):
         self, inputs: Normed
     ) -> tuple[Float[Array, "features outputs"], Float[Array, " outputs"]]:
         """Kernel and bias that act on `inputs.x` as the layer does on `inputs`."""
-        init = nn.initializers.orthogonal(self.gain)
+        init = orthogonal(self.gain)
         kernel = self.param("kernel", init, (inputs.scale.size, self.features))
         bias = self.param("bias", nn.initializers.zeros_init(), (self.features,))
         return scale_inputs(kernel, inputs.scale), inputs.shift @ kernel + bias

@@ -8,6 +8,7 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.gru import GRU
+from hmasd_jax.initializers import orthogonal
 from hmasd_jax.layer_norm import LayerNorm, Normed, NormedDense, join
 
 ConditionAt = Literal["input", "last_layer"]
@@ -19,7 +20,7 @@ MASKED_LOGIT = -1e10
 
 def dense(features: int, gain: float, name: str | None = None, use_bias: bool = True) -> nn.Dense:
     """Linear layer with orthogonal weights of the given gain and zero bias."""
-    init = nn.initializers.orthogonal(gain)
+    init = orthogonal(gain)
     return nn.Dense(features, use_bias=use_bias, kernel_init=init, name=name)
 
 

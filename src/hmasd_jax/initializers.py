@@ -1,0 +1,28 @@
+"""Initial weights."""
+
+from collections.abc import Sequence
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jax.typing import DTypeLike
+from jaxtyping import Array, Float
+
+from hmasd_jax.types import Key
+
+
+def orthogonal(gain: float) -> nn.initializers.Initializer:
+    """Orthogonal weights of the given gain, one matrix at a time, also under `jax.vmap`.
+
+    jaxlib's batched QR decomposition waits in a thread of a CPU's pool for tasks that it gives to
+    the same pool. Where there are as many decompositions as threads, all wait for each other, for
+    ever: two cores are enough for a vmapped `init` (jaxlib 0.10.1).
+    """
+    draw = nn.initializers.orthogonal(gain)
+
+    def init(
+        key: Key, shape: Sequence[int], dtype: DTypeLike = jnp.float32
+    ) -> Float[Array, "inputs outputs"]:
+        return jax.custom_batching.sequential_vmap(lambda key: draw(key, shape, dtype))(key)
+
+    return init
