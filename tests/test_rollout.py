@@ -103,6 +103,22 @@ def test_every_reset_and_every_copy_has_its_own_randomness(six_steps):
     assert len(set(names.tolist())) == 5
 
 
+@pytest.mark.parametrize("num_done", [0, 1, 8, 9, 20])
+def test_of_many_copies_just_those_that_are_done_begin_anew(num_done):
+    # As many as fit into one batch of resets, or not; see `rollout._restart`.
+    copies = 20
+    done = np.random.default_rng(num_done).permutation(copies) < num_done
+    carry = rollout.reset(Counter(), jax.random.key(0), copies)
+    action = jnp.where(jnp.asarray(done)[:, None], STOP, GO)
+    after, outcome = rollout.step(Counter(), carry, action, jax.random.key(1))
+    np.testing.assert_array_equal(after.first, done)
+    np.testing.assert_array_equal(after.env_state.time, ~done)
+    np.testing.assert_array_equal(after.timestep.state[:, 0], ~done)
+    np.testing.assert_array_equal(after.env_state.name != carry.env_state.name, done)
+    np.testing.assert_array_equal(outcome.state[:, 0], 1)
+    assert len(set(after.env_state.name.tolist())) == copies
+
+
 def test_memory_is_carried_and_actions_are_recorded(six_steps):
     _, _, memory, transitions = six_steps
     np.testing.assert_array_equal(memory, [6, 6])

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int, Shaped
 
-from envs_jax import Environment, TimeStep
+from envs_jax import Environment, EnvState, TimeStep
 from hmasd_jax.types import EnvCarry, Key, Memory, Metrics, StepFn, Transition
 
 
@@ -49,19 +49,31 @@ def step(
     key_step, key_reset = jax.random.split(key)
     keys_step = jax.random.split(key_step, num_envs)
     env_state, outcome = jax.vmap(env.step)(keys_step, carry.env_state, action)
-    reached = env_state, outcome
-
-    def restart():
-        fresh = reset(env, key_reset, num_envs)
-        return jax.tree.map(where_done, (fresh.env_state, fresh.timestep), reached)
-
-    def where_done(new, old):
-        done = outcome.done.reshape(num_envs, *(1,) * (new.ndim - 1))
-        return jnp.where(done, new, old)
-
     # Most steps end no episode, and need no reset prepared.
-    env_state, timestep = jax.lax.cond(outcome.done.any(), restart, lambda: reached)
+    env_state, timestep = jax.lax.cond(
+        outcome.done.any(),
+        lambda: _restart(env, key_reset, env_state, outcome),
+        lambda: (env_state, outcome),
+    )
     return EnvCarry(env_state, timestep, outcome.done), outcome
+
+
+def _restart(
+    env: Environment, key: Key, env_state: EnvState, timestep: TimeStep
+) -> tuple[EnvState, TimeStep]:
+    """Begin new episodes in the copies that are done, a few at a time: seldom are many done."""
+    done = timestep.done
+    keys = jax.random.split(key, done.size)
+    at_once = min(done.size, max(done.size // 32, 8))
+    ended = jnp.sort(jnp.where(done, jnp.arange(done.size), done.size))  # the others stand last
+
+    def restart_batch(i, reached):
+        # At the end of `ended` it overlaps the batch before: the same copies restart alike twice.
+        batch = jax.lax.dynamic_slice_in_dim(ended, i * at_once, at_once)
+        fresh = jax.vmap(env.reset)(keys[batch])
+        return jax.tree.map(lambda old, new: old.at[batch].set(new, mode="drop"), reached, fresh)
+
+    return jax.lax.fori_loop(0, -(-done.sum() // at_once), restart_batch, (env_state, timestep))
 
 
 def following(
