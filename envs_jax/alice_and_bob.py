@@ -101,7 +101,7 @@ class AliceAndBob:
     def reset(self, key: jax.Array) -> tuple[AliceAndBobState, TimeStep]:
         """Place the agents on two distinct uniformly random cells; nothing is collected yet."""
         # One draw among the ordered pairs: a choice without replacement sorts all cells, which
-        # cost 4-5 % of a whole training step, as every copy prepares a reset at every step.
+        # cost 4-5 % of a whole training step where every copy prepares a reset at every step.
         first, second = jnp.divmod(jax.random.randint(key, (), 0, CELLS * (CELLS - 1)), CELLS - 1)
         cells = jnp.stack([first, second + (second >= first)])
         position = jnp.stack([cells // SIZE, cells % SIZE], axis=-1) + 1

@@ -126,8 +126,7 @@ class MicroBattle:
     def reset(self, key: jax.Array) -> tuple[MicroBattleState, TimeStep]:
         """Place all units up to 0.1 cells off where the scenario has them, in any direction."""
         num_units = self.num_agents + len(self.layout.enemies)
-        # Half a word is random enough for a coordinate, and all copies prepare a reset whenever
-        # one needs it: one word per unit, and one for the goal.
+        # Half a word is random enough for a coordinate: one word per unit, and one for the goal.
         return _copies_last(self._begin)(jax.random.bits(key, (num_units + 1,)))
 
     def step(

@@ -122,8 +122,8 @@ class Overcooked:
         timestep = self._timestep(env_state, jnp.float32(0))
         if not self.random_seats:
             return env_state, timestep
-        # Every copy prepares a reset at every step: so the coin is a bit of the key itself, which
-        # is random already, and the start, always the same, is looked at once for both seats.
+        # A trainer may prepare a reset in every copy at every step: so the coin is a bit of the key
+        # itself, which is random already, and the start is looked at once for both seats.
         swapped = (jax.random.key_data(key)[-1] & 1).astype(bool)
         obs = jnp.where(swapped, timestep.obs[::-1], timestep.obs)
         state = obs.reshape(-1) if self.observation == "features" else timestep.state
