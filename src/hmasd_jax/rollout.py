@@ -63,14 +63,16 @@ def _restart(
 ) -> tuple[EnvState, TimeStep]:
     """Begin new episodes in the copies that are done, a few at a time: seldom are many done."""
     done = timestep.done
-    keys = jax.random.split(key, done.size)
+    # As data: JAX's check for keys used twice cannot know that each is used in one batch only.
+    key_data = jax.random.key_data(jax.random.split(key, done.size))
     at_once = min(done.size, max(done.size // 32, 8))
     ended = jnp.sort(jnp.where(done, jnp.arange(done.size), done.size))  # the others stand last
 
     def restart_batch(i, reached):
         # At the end of `ended` it overlaps the batch before: the same copies restart alike twice.
         batch = jax.lax.dynamic_slice_in_dim(ended, i * at_once, at_once)
-        fresh = jax.vmap(env.reset)(keys[batch])
+        keys = jax.random.wrap_key_data(key_data[batch], impl=jax.random.key_impl(key))
+        fresh = jax.vmap(env.reset)(keys)
         return jax.tree.map(lambda old, new: old.at[batch].set(new, mode="drop"), reached, fresh)
 
     return jax.lax.fori_loop(0, -(-done.sum() // at_once), restart_batch, (env_state, timestep))
