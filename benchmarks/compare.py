@@ -18,11 +18,11 @@ from typing import Any
 import jax
 
 import envs_jax
-from environments import random_play
+from benchmarks.environments import random_play
+from benchmarks.measure import Row, alternate, compiled, isolated, jitted, parser, report
+from benchmarks.training import settings
 from hmasd_jax import config as configs
-from hmasd_jax import run_folder
-from measure import Row, alternate, compiled, isolated, jitted, parser, report
-from training import settings
+from hmasd_jax.runs import folder as run_folder
 
 COPIES, STEPS = 32, 100
 ALGORITHMS = ("hmasd", "mappo")

@@ -11,8 +11,9 @@ from typing import Any
 import jax
 
 import envs_jax
-from hmasd_jax import rollout, run_folder
-from measure import Row, isolated, jitted, measure, parser, peak_rss_mb, report
+from benchmarks.measure import Row, isolated, jitted, measure, parser, peak_rss_mb, report
+from hmasd_jax.rl import rollout
+from hmasd_jax.runs import folder as run_folder
 
 
 def random_play(

@@ -7,7 +7,7 @@ from typing import Any
 import jax
 from jax.extend.core import ClosedJaxpr, Jaxpr
 
-from measure import measure
+from benchmarks.measure import measure
 
 ROWS, WIDTH = 9600, 64
 """A batch and a layer as in training at the paper's sizes."""

@@ -12,11 +12,11 @@ from typing import Any, ClassVar
 import jax
 import jax.numpy as jnp
 
+from benchmarks.measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
 from envs_jax.types import TimeStep
-from hmasd_jax import run_folder
 from hmasd_jax.hmasd import HMASDConfig, make_hmasd
-from hmasd_jax.ppo import PPOConfig
-from measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.runs import folder as run_folder
 
 SIZES = {
     "num_envs": (8, 16, 32, 64, 128, 256, 512),

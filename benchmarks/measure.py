@@ -17,7 +17,9 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
-from hmasd_jax import programs, run_folder, sweep
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.training import compiled as programs
+from hmasd_jax.training import workers as sweep
 
 ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
 """What a table says of the machine, of all that `run_folder.describe` knows."""

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax import run_folder
-from measure import ABOUT, text
+from benchmarks.measure import ABOUT, text
+from hmasd_jax.runs import folder as run_folder
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "performance.md"

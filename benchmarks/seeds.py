@@ -14,11 +14,11 @@ from typing import Any
 
 import jax
 
+from benchmarks.measure import Row, Timing, compiled, isolated, measure, parser, peak_rss_mb, report
+from benchmarks.training import settings
 from hmasd_jax import config as configs
-from hmasd_jax import run_folder
-from hmasd_jax.programs import BatchLayout, batched
-from measure import Row, Timing, compiled, isolated, measure, parser, peak_rss_mb, report
-from training import settings
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.training.compiled import BatchLayout, batched
 
 LAYOUTS = ("workers", "vmap", "map", "sharded")
 

@@ -14,10 +14,10 @@ from typing import Any
 import jax
 
 import envs_jax
-from flops import ceiling_gflops, matmul_flops
+from benchmarks.flops import ceiling_gflops, matmul_flops
+from benchmarks.measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
 from hmasd_jax import config as configs
-from hmasd_jax import run_folder
-from measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
+from hmasd_jax.runs import folder as run_folder
 
 QUICK = {"algorithm.ppo.num_envs": 2, "algorithm.ppo.num_epochs": 1}
 
@@ -30,11 +30,11 @@ def settings(env: str, algorithm: str, quick: bool, **overrides: Any) -> configs
 
 def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tuple]]:
     """The parts of one update of HMASD, each with arguments from a real rollout."""
-    from hmasd_jax import rollout as rollouts
     from hmasd_jax.hmasd import algorithm
     from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
-    from hmasd_jax.hmasd.collect import collect
-    from hmasd_jax.hmasd.parts import make_parts
+    from hmasd_jax.hmasd.components import make_parts
+    from hmasd_jax.hmasd.rollout_phase import collect
+    from hmasd_jax.rl import rollout as rollouts
 
     parts = make_parts(config.env, config.algorithm)
     key = jax.random.key(0)

@@ -14,9 +14,10 @@ import tarfile
 import tempfile
 from pathlib import Path
 
-from hmasd_jax import run_folder, sweep
+from benchmarks.measure import Row, parser, report
 from hmasd_jax.hmasd import HMASDConfig
-from measure import Row, parser, report
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.training import workers as sweep
 
 ROOT = Path(__file__).parents[1]
 

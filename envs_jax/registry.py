@@ -7,8 +7,8 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from envs_jax.adapters import JaxMARL
 from envs_jax.alice_and_bob import AliceAndBob
-from envs_jax.micro_battle import MicroBattle
-from envs_jax.overcooked import Overcooked
+from envs_jax.micro_battle.environment import MicroBattle
+from envs_jax.overcooked.environment import Overcooked
 from envs_jax.probes import PROBES
 from envs_jax.types import Environment
 

@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hmasd_jax.policy import load_policy
+    from hmasd_jax.runs.load import load_policy
 
 __all__ = ["load_policy"]
 
@@ -11,7 +11,7 @@ __all__ = ["load_policy"]
 def __getattr__(name: str) -> Any:
     # Imported at first use: whoever needs one module is not to wait for all libraries.
     if name == "load_policy":
-        from hmasd_jax.policy import load_policy
+        from hmasd_jax.runs.load import load_policy
 
         return load_policy
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -6,10 +6,10 @@ import pytest
 
 from envs_jax.alice_and_bob import AliceAndBob
 from hmasd_jax.hmasd.algorithm import make_hmasd
-from hmasd_jax.hmasd.collect import collect
+from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.hmasd.parts import make_parts
-from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.hmasd.rollout_phase import collect
+from hmasd_jax.rl.ppo import PPOConfig
 
 ENV = AliceAndBob(max_steps=7)
 CONFIG = HMASDConfig(

@@ -10,9 +10,9 @@ import pytest
 
 from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.batches import high_batch
-from hmasd_jax.hmasd.collect import collect
+from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.coordinator import assign, coordinator_loss
-from hmasd_jax.hmasd.parts import make_parts
+from hmasd_jax.hmasd.rollout_phase import collect
 
 
 @pytest.fixture(scope="module")

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose
 
 from hmasd_jax.hmasd.algorithm import low_entropy_coef, make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
-from hmasd_jax.hmasd.collect import collect
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
+from hmasd_jax.hmasd.rollout_phase import collect
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "hmasd"
 

@@ -9,14 +9,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
-from hmasd_jax.actor_critic import ActorCriticMemory
 from hmasd_jax.hmasd.batches import find_segments, high_batch, low_batch, skill_pairs
-from hmasd_jax.hmasd.collect import Extras, Rollout, RolloutMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment
-from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.hmasd.rollout_phase import Extras, Rollout, RolloutMemory
+from hmasd_jax.networks.actor_critic import ActorCriticMemory
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import EnvCarry, Transition
-from hmasd_jax.value_norm import ValueNorm
 
 UNIT = ValueNorm(*jnp.array([0.0, 1.0, 1.0]))  # mean 0, deviation 1
 CONFIG = HMASDConfig(skill_interval=2)

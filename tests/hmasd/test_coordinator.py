@@ -16,8 +16,8 @@ from hmasd_jax.hmasd.coordinator import (
     assign,
     coordinator_loss,
 )
-from hmasd_jax.ppo import PPOConfig
-from hmasd_jax.value_norm import ValueNorm
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.rl.value_norm import ValueNorm
 
 AGENTS, STATE, OBS, SIZE = 3, 4, 5, 8
 TOKENS = 1 + AGENTS

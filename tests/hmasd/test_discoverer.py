@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.testing import assert_allclose
 
-from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.discoverer import (
     LowBatch,
@@ -15,8 +14,9 @@ from hmasd_jax.hmasd.discoverer import (
     discoverer_loss,
     state_value,
 )
-from hmasd_jax.ppo import PPOConfig
-from hmasd_jax.value_norm import ValueNorm
+from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.rl.value_norm import ValueNorm
 
 UNIT = ValueNorm(*jnp.array([0.0, 1.0, 1.0]))  # mean 0, deviation 1
 

@@ -18,7 +18,7 @@ from hmasd_jax.hmasd.discriminators import (
     make_discriminators,
     observe,
 )
-from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.rl.ppo import PPOConfig
 
 # Two samples of two agents; skills are Z, z^1, z^2.
 PAIR = SkillPair(

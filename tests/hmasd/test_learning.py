@@ -9,7 +9,7 @@ from envs_jax.probes import DifferentActions, HiddenCue, RememberCue
 from hmasd_jax.hmasd import algorithm as algorithm_module
 from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.ppo import PPOConfig
+from hmasd_jax.rl.ppo import PPOConfig
 
 
 def _config(learning_rate=3e-3, **fields):

@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import CoordinatorKind, HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator
-from hmasd_jax.networks import mask_logits
+from hmasd_jax.rl.categorical import mask_logits
 
 
 class TeamOnlyCoordinator(Coordinator):

@@ -8,13 +8,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax import rollout as rollouts
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
-from hmasd_jax.hmasd.collect import (
-    RolloutMemory,
-    collect,
-    init_rollout_memory,
-)
+from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
 from hmasd_jax.hmasd.discoverer import LowBatch, discoverer_loss
@@ -24,12 +19,17 @@ from hmasd_jax.hmasd.discriminators import (
     log_q_of_skills,
     observe,
 )
-from hmasd_jax.hmasd.parts import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
-from hmasd_jax.sgd import gradient_step, ppo_epochs, sgd_epochs
+from hmasd_jax.hmasd.rollout_phase import (
+    RolloutMemory,
+    collect,
+    init_rollout_memory,
+)
+from hmasd_jax.rl import rollout as rollouts
+from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
+from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
-from hmasd_jax.value_norm import ValueNorm
 
 
 class HMASDState(NamedTuple):

@@ -6,19 +6,19 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from hmasd_jax.actor_critic import ActorCriticMemory
-from hmasd_jax.gae import gae, normalize_advantage, rollout_advantage
-from hmasd_jax.hmasd.collect import Rollout
+from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discoverer import LowBatch, state_value
 from hmasd_jax.hmasd.discriminators import SkillPair
-from hmasd_jax.hmasd.parts import Parts
 from hmasd_jax.hmasd.rewards import high_level_reward
-from hmasd_jax.networks import apply
-from hmasd_jax.ppo import has_choice
-from hmasd_jax.rollout import cut, flatten, following
+from hmasd_jax.hmasd.rollout_phase import Rollout
+from hmasd_jax.networks.actor_critic import ActorCriticMemory
+from hmasd_jax.networks.recurrent import apply
+from hmasd_jax.rl.gae import gae, normalize_advantage, rollout_advantage
+from hmasd_jax.rl.ppo import has_choice
+from hmasd_jax.rl.rollout import cut, flatten, following
+from hmasd_jax.rl.value_norm import ValueNorm, denormalize
 from hmasd_jax.types import Key
-from hmasd_jax.value_norm import ValueNorm, denormalize
 
 
 class Segments(NamedTuple):

@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.networks import ConditionAt
-from hmasd_jax.ppo import PPOConfig
-from hmasd_jax.settings import check_divides, check_indices, check_multiple, check_range
+from hmasd_jax.networks.recurrent import ConditionAt
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.validation import check_divides, check_indices, check_multiple, check_range
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
 

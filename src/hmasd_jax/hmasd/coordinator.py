@@ -7,16 +7,14 @@ skills, log-probabilities and values have these 1 + N tokens on their last axis.
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
-import distrax
 import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.layer_norm import LayerNorm
-from hmasd_jax.networks import RELU_GAIN, apply, dense, mask_logits
-from hmasd_jax.ppo import ppo_loss
-from hmasd_jax.transformer import (
+from hmasd_jax.networks.layer_norm import LayerNorm
+from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
+from hmasd_jax.networks.transformer import (
     DecoderBlock,
     EncoderBlock,
     Head,
@@ -24,8 +22,10 @@ from hmasd_jax.transformer import (
     draw_in_turn,
     gelu,
 )
+from hmasd_jax.rl.categorical import categorical, mask_logits
+from hmasd_jax.rl.ppo import ppo_loss
+from hmasd_jax.rl.value_norm import ValueNorm, normalize
 from hmasd_jax.types import Key, Metrics
-from hmasd_jax.value_norm import ValueNorm, normalize
 
 
 class Assignment(NamedTuple):
@@ -165,7 +165,7 @@ def coordinator_loss(
     """
     skills = batch.assignment.skills
     logits, value = apply(network, params, batch.state, batch.obs, skills)
-    distribution = distrax.Categorical(logits=logits)
+    distribution = categorical(logits)
     loss, metrics = ppo_loss(
         jnp.asarray(distribution.log_prob(skills)),
         batch.assignment.log_prob,

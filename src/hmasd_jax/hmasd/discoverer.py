@@ -1,21 +1,23 @@
 """The skill discoverer: actor pi_l(a|o, z) and centralized critic V_l(s, Z) (Sec. 3.2, Eq. 7)."""
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import distrax
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax import actor_critic
-from hmasd_jax.actor_critic import ActorCritic, ActorCriticMemory, agents_loss
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks import RecurrentNet
-from hmasd_jax.transformer import SMALL_GAIN
+from hmasd_jax.networks import actor_critic
+from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory, agents_loss
+from hmasd_jax.networks.recurrent import RecurrentNet
+from hmasd_jax.networks.transformer import SMALL_GAIN
+from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Metrics
-from hmasd_jax.value_norm import ValueNorm
+
+if TYPE_CHECKING:
+    from distrax import Categorical
 
 
 class LowBatch(NamedTuple):
@@ -62,7 +64,7 @@ def action_distribution(
     skills: Int[Array, "time *batch N"],
     first: Bool[Array, "time *batch"],
     num_skills: int,
-) -> tuple[Float[Array, "*batch N hidden"], distrax.Categorical]:
+) -> tuple[Float[Array, "*batch N hidden"], "Categorical"]:
     """pi_l(a^i|o^i, z^i) at every step; an agent sees its own skill, not the team's."""
     condition = jax.nn.one_hot(skills, num_skills)
     return actor_critic.action_distribution(

@@ -8,9 +8,9 @@ from flax import linen as nn
 from jaxtyping import Array, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.layer_norm import NormedDense
-from hmasd_jax.networks import MLP, apply
-from hmasd_jax.transformer import SMALL_GAIN
+from hmasd_jax.networks.layer_norm import NormedDense
+from hmasd_jax.networks.recurrent import MLP, apply
+from hmasd_jax.networks.transformer import SMALL_GAIN
 from hmasd_jax.types import Key, Metrics
 
 

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
-from hmasd_jax.hmasd.collect import act, blank_assignment, renew
+from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment
 from hmasd_jax.hmasd.discoverer import init_memory
-from hmasd_jax.hmasd.parts import Parts
+from hmasd_jax.hmasd.rollout_phase import act, blank_assignment, renew
 from hmasd_jax.types import Key, Policy
 
 

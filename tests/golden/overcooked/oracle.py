@@ -8,10 +8,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from envs_jax import overcooked_features
-from envs_jax.overcooked import INTERACT, OvercookedState
-from envs_jax.overcooked_kitchen import read
-from envs_jax.overcooked_rules import (
+from envs_jax.overcooked.environment import INTERACT, OvercookedState
+from envs_jax.overcooked.environment import features as overcooked_features
+from envs_jax.overcooked.layouts import read
+from envs_jax.overcooked.rules import (
     COUNTER,
     DISH,
     FLOOR,

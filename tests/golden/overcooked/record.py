@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from oracle import Oracle, cooking_action, random_action, random_state
 
-from envs_jax.overcooked_kitchen import LAYOUTS
+from envs_jax.overcooked.layouts import LAYOUTS
 
 CHAINS, LENGTH = 12, 20
 

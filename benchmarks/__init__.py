@@ -1,0 +1,1 @@
+"""Speed, memory and compile time, measured and recorded."""

@@ -1,0 +1,171 @@
+"""What agents of `micro_battle` see and may do, in the layouts of SMAC and of MAPPO's wrapper.
+
+Arrays have units first and copies last, as in `battle_physics`. Features follow
+`get_obs_agent`, `get_state` and `get_avail_agent_actions` of oxwhirl/smac (starcraft2.py) and of
+marlbenchmark/on-policy (StarCraft2_Env.py) with its default flags and one state for all agents.
+"""
+
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax.micro_battle.constants import Roster, column
+from envs_jax.micro_battle.physics import Units, length
+from envs_jax.micro_battle.scenarios import Scenario, is_floor
+from envs_jax.micro_battle.unit_types import UNIT_TYPES
+
+Observation = Literal["mappo", "smac"]
+
+SIGHT = 9.0
+"""Distance below which an agent sees a unit, in cells, whatever is between."""
+ATTACK_RANGE = 6.0
+"""Distance up to which an agent may order an attack; not the reach of its weapon."""
+DIRECTIONS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0)], np.float32)  # north, south, east, west
+NO_OP, STOP, FIRST_MOVE, FIRST_ATTACK = 0, 1, 2, 6
+
+
+def unit_kinds(scenario: Scenario) -> tuple[str, ...]:
+    """Names of the unit types to tell apart: none where each side has but one."""
+    sides = [{spawn.unit for spawn in side} for side in (scenario.allies, scenario.enemies)]
+    return tuple(sorted(sides[0] | sides[1])) if max(map(len, sides)) > 1 else ()
+
+
+def sizes(scenario: Scenario, observation: Observation) -> tuple[int, int]:
+    """Lengths of an agent's observation and of the global state."""
+    allies, enemies = len(scenario.allies), len(scenario.enemies)
+    actions = FIRST_ATTACK + enemies
+    ally, enemy = (
+        1 + _has_shields(side) + len(unit_kinds(scenario))
+        for side in (scenario.allies, scenario.enemies)
+    )
+    moves = len(DIRECTIONS)
+    if observation == "smac":
+        obs = moves + enemies * (4 + enemy) + (allies - 1) * (4 + ally) + ally
+        return obs, allies * (3 + ally) + enemies * (2 + enemy) + allies * actions
+    obs = allies * (4 + ally + actions) + enemies * (4 + enemy) + moves + allies
+    return obs, allies * (3 + ally + actions) + enemies * (2 + enemy + actions)
+
+
+def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions *copies"]:
+    """SMAC's legal actions: the dead do nothing, the living anything else.
+
+    A move is legal if the point 1 cell ahead is on the floor, an attack if the enemy lives and is
+    at most 6 cells away.
+    """
+    agents = len(scenario.allies)
+    x, y = units.x[:agents], units.y[:agents]
+    alive = units.health > 0
+    moves = [is_floor(scenario.floor, x + dx, y + dy) for dx, dy in DIRECTIONS]
+    attacks = [
+        alive[enemy] & (length(units.x[enemy] - x, units.y[enemy] - y) <= ATTACK_RANGE)
+        for enemy in range(agents, len(alive))
+    ]
+    rows = [jnp.ones_like(alive[:agents]), *moves, *attacks]
+    legal = [row & alive[:agents] for row in rows]
+    return jnp.stack([~alive[:agents], *legal], axis=1)
+
+
+def observe(
+    scenario: Scenario,
+    observation: Observation,
+    roster: Roster,
+    units: Units,
+    last_action: Int[Array, "agents *copies"],
+    mask: Bool[Array, "agents actions *copies"],
+) -> tuple[Float[Array, "agents obs *copies"], Float[Array, "state *copies"]]:
+    """Observations of the agents, zero for the dead but for their index, and the global state."""
+    agents = len(scenario.allies)
+    acted = jnp.stack([last_action == a for a in range(mask.shape[1])], axis=1)  # (N, actions, ..)
+    state = _global_state(scenario, observation, roster, units, acted)
+
+    dx, dy = units.x - units.x[:agents, None], units.y - units.y[:agents, None]
+    away = length(dx, dy)  # (agents, units, *copies)
+    alive = units.health > 0
+    seen = (away < SIGHT) & alive & alive[:agents, None]
+    place = [away / SIGHT, dx / SIGHT, dy / SIGHT]
+    blocks = {}
+    for side, first in (("allies", seen), ("enemies", mask[:, FIRST_ATTACK:])):
+        part = slice(agents) if side == "allies" else slice(agents, None)
+        vitals = [v[part] for v in _vitals(scenario, side, roster, units)]
+        shape = seen[:, part].shape
+        features = [first[:, part] if side == "allies" else first, *(p[:, part] for p in place)]
+        features += [jnp.broadcast_to(v, shape) for v in vitals]
+        if side == "allies" and observation == "mappo":
+            features += [jnp.broadcast_to(acted[:, a], shape) for a in range(acted.shape[1])]
+        rows = jnp.stack([jnp.where(seen[:, part], f, 0.0) for f in features], axis=2)
+        blocks[side] = _flat(_without_self(rows) if side == "allies" else rows)
+
+    here = alive[:agents, None]
+    copies = here.shape[2:]
+    own = jnp.stack([v[:agents] for v in _vitals(scenario, "allies", roster, units)], axis=1)
+    moves = mask[:, FIRST_MOVE:FIRST_ATTACK]
+    if observation == "smac":
+        parts = [moves, blocks["enemies"], blocks["allies"], own * here]
+    else:
+        at_self = column(np.array([1, 0, 0, 0]), len(copies))  # visible, distance, dx, dy
+        index = jnp.broadcast_to(column(np.eye(agents), len(copies)), (agents, agents, *copies))
+        own = [at_self * here, own * here, acted & here]
+        parts = [blocks["allies"], blocks["enemies"], moves, *own, index]
+    return jnp.concatenate([part.astype(jnp.float32) for part in parts], axis=1), state
+
+
+def _global_state(
+    scenario: Scenario,
+    observation: Observation,
+    roster: Roster,
+    units: Units,
+    acted: Bool[Array, "agents actions *copies"],
+) -> Float[Array, "state *copies"]:
+    """Health, cooldown, centered position, shield and kind of every living unit; last actions.
+
+    The wrapper's form has an agent's last action with its unit, and as many zeros with each enemy.
+    """
+    agents = len(scenario.allies)
+    width, height = scenario.size
+    alive = units.health > 0
+    x, y = units.x / width - 0.5, units.y / height - 0.5
+    sides = []
+    for side in ("allies", "enemies"):
+        part = slice(agents) if side == "allies" else slice(agents, None)
+        health, *rest = _vitals(scenario, side, roster, units)
+        cooldown = [jnp.maximum(units.ready, 0) / roster.cooldown_scale] * (side == "allies")
+        features = [jnp.where(alive, f, 0.0)[part] for f in (health, *cooldown, x, y, *rest)]
+        if observation == "mappo":
+            blank = jnp.zeros_like(x[part])
+            actions = range(acted.shape[1])
+            features += [acted[:, a] & alive[part] if side == "allies" else blank for a in actions]
+        sides.append(_flat(jnp.stack(features, axis=1)[None])[0])
+    if observation == "smac":
+        sides.append(_flat(acted[None])[0].astype(jnp.float32))
+    return jnp.concatenate(sides)
+
+
+def _vitals(scenario: Scenario, side: str, roster: Roster, units: Units) -> list[Array]:
+    """Health, shield if the side has any, and kind: what SMAC tells of a unit besides its place."""
+    vitals = [units.health / roster.max_health]
+    if _has_shields(getattr(scenario, side)):
+        vitals.append(units.shield / np.maximum(roster.max_shield, 1))
+    names = [spawn.unit for spawn in (*scenario.allies, *scenario.enemies)]
+    for kind in unit_kinds(scenario):
+        is_kind = np.array([name == kind for name in names], np.float32)
+        vitals.append(jnp.broadcast_to(column(is_kind, units.x.ndim - 1), units.x.shape))
+    return vitals
+
+
+def _has_shields(spawns) -> bool:
+    return any(UNIT_TYPES["multi"][spawn.unit].shield > 0 for spawn in spawns)
+
+
+def _without_self(rows: Array) -> Array:
+    """(agents, agents, ..) to (agents, agents - 1, ..): leave out the diagonal."""
+    agents = len(rows)
+    after_self = np.arange(agents - 1) >= np.arange(agents)[:, None]
+    after_self = after_self.reshape(after_self.shape + (1,) * (rows.ndim - 2))
+    return jnp.where(after_self, rows[:, 1:], rows[:, :-1])
+
+
+def _flat(rows: Array) -> Array:
+    """(agents, units, features, ..) to (agents, units * features, ..)."""
+    return rows.reshape(len(rows), rows.shape[1] * rows.shape[2], *rows.shape[3:])

@@ -1,0 +1,155 @@
+"""Scenarios of `micro_battle`: who fights whom, where, and for how long.
+
+Positions are (x, y) in cells, y up. Those of 3m, 2s_vs_1sc and 2m_vs_1z, their walls, goals and
+time limits are read from SMAC's own map archives (oxwhirl/smac, SMAC_Maps). Of 5m_vs_6m, 2s3z and
+3s_vs_5z, which are examples, only units and time limits are SMAC's.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from envs_jax.micro_battle.unit_types import UNIT_TYPES
+
+Rectangle = tuple[int, int, int, int]
+Point = tuple[float, float]
+
+JITTER = 0.1
+"""How far off its place a unit starts at most, in any direction."""
+
+
+@dataclass(frozen=True)
+class Spawn:
+    """One unit and where it starts."""
+
+    unit: str
+    """A name in `battle_units.UNIT_TYPES`."""
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A battle. Allies are the agents, in this order; enemies are numbered in theirs.
+
+    Raises:
+        ValueError: no units on a side, an unknown unit, no floor, a unit that starts in a wall or
+            in another unit, a goal in a wall, more than two goals, or a limit below 1.
+    """
+
+    allies: tuple[Spawn, ...]
+    """The agents' units, up to 0.1 cells from where each episode starts."""
+    enemies: tuple[Spawn, ...]
+    """The other side, likewise."""
+    floor: tuple[Rectangle, ...]
+    """Where units can walk: the union of rectangles (left, bottom, right, top)."""
+    goals: tuple[Point, ...] = ()
+    """Where enemies go, attacking whom they meet: nowhere, to a point, or to a point of the line
+    between two, drawn for each episode."""
+    max_steps: int = 100
+    """Time limit in environment steps, of 0.5 s each."""
+    size: tuple[int, int] = (32, 32)
+    """Width and height of the map, which positions in the global state are relative to."""
+
+    def __post_init__(self) -> None:
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
+        if not self.floor or any(x0 >= x1 or y0 >= y1 for x0, y0, x1, y1 in self.floor):
+            raise ValueError(
+                f"floor must be rectangles (left, bottom, right, top) that are not empty, "
+                f"got {self.floor}"
+            )
+        for side in ("allies", "enemies"):
+            self._check_units(side)
+        if len(self.goals) > 2:
+            raise ValueError(f"goals must be none, one point or two, got {len(self.goals)}")
+        for goal in self.goals:
+            if not is_floor(self.floor, *goal):
+                raise ValueError(f"goals: {goal} is in a wall; move it onto the floor")
+
+    def _check_units(self, side: str) -> None:
+        spawns = getattr(self, side)
+        if not spawns:
+            raise ValueError(f"{side} must have at least one unit, got none")
+        for index, spawn in enumerate(spawns):
+            where = f"{side}[{index}]"
+            if spawn.unit not in UNIT_TYPES["multi"]:
+                known = ", ".join(UNIT_TYPES["multi"])
+                raise ValueError(f"{where}: unknown unit {spawn.unit!r}; choose from {known}")
+            if side == "allies" and not UNIT_TYPES["multi"][spawn.unit].speed:
+                raise ValueError(f"{where}: a {spawn.unit} cannot move, so it cannot be an agent's")
+            offsets = (-JITTER, JITTER)
+            corners = [(spawn.x + dx, spawn.y + dy) for dx in offsets for dy in offsets]
+            if not all(is_floor(self.floor, x, y) for x, y in corners):
+                raise ValueError(
+                    f"{where}: the {spawn.unit} at ({spawn.x}, {spawn.y}) starts in a wall, or "
+                    f"less than {JITTER} from one; move it onto the floor"
+                )
+            others = (*self.allies, *self.enemies)
+            if sum((o.x, o.y) == (spawn.x, spawn.y) for o in others) > 1:
+                raise ValueError(f"{where}: another unit starts at ({spawn.x}, {spawn.y}) too")
+
+
+def is_floor(floor: Sequence[tuple[float, float, float, float]], x: Any, y: Any) -> Any:
+    """Whether points are in any of the rectangles; numbers or arrays of one shape."""
+    inside = False
+    for left, bottom, right, top in floor:
+        inside = inside | (left <= x) & (x < right) & (bottom <= y) & (y < top)
+    return inside
+
+
+def line(unit: str, count: int, x: float, y: float, spacing: float = 0.8) -> tuple[Spawn, ...]:
+    """`count` units one above the other, centered at (x, y)."""
+    return tuple(
+        Spawn(unit, x, round(y + spacing * (index - (count - 1) / 2), 3)) for index in range(count)
+    )
+
+
+BAND = ((0, 8, 32, 24),)
+HOUSE = ((8, 8, 20, 20), (9, 20, 19, 21), (10, 21, 18, 22), (11, 22, 17, 23), (12, 23, 16, 24))
+OCTAGON = ((6, 10, 26, 22), (7, 9, 25, 23), (8, 8, 24, 24), (9, 7, 23, 25), (10, 6, 22, 26))
+
+SCENARIOS: dict[str, Scenario] = {
+    "3m": Scenario(
+        allies=line("marine", 3, 9.0, 16.0),
+        enemies=line("marine", 3, 23.0, 16.0),
+        floor=BAND,
+        goals=((9.0, 16.0),),
+        max_steps=60,
+    ),
+    "2s_vs_1sc": Scenario(
+        allies=(Spawn("stalker", 11.1208, 10.338), Spawn("stalker", 16.976, 10.3662)),
+        enemies=(Spawn("spine_crawler", 14.0, 20.0),),
+        floor=HOUSE,
+        max_steps=300,
+    ),
+    "2m_vs_1z": Scenario(
+        allies=(Spawn("marine", 13.0, 12.0), Spawn("marine", 19.0, 12.0)),
+        enemies=(Spawn("zealot", 16.0, 19.0),),
+        floor=OCTAGON,
+        goals=((13.0, 12.0), (19.0, 12.0)),
+        max_steps=150,
+    ),
+    "5m_vs_6m": Scenario(
+        allies=line("marine", 5, 9.0, 16.0),
+        enemies=line("marine", 6, 23.0, 16.0),
+        floor=BAND,
+        goals=((9.0, 16.0),),
+        max_steps=70,
+    ),
+    "2s3z": Scenario(
+        allies=line("stalker", 2, 8.0, 16.0, 1.5) + line("zealot", 3, 9.5, 16.0),
+        enemies=line("stalker", 2, 24.0, 16.0, 1.5) + line("zealot", 3, 22.5, 16.0),
+        floor=BAND,
+        goals=((9.0, 16.0),),
+        max_steps=120,
+    ),
+    "3s_vs_5z": Scenario(
+        allies=line("stalker", 3, 9.0, 16.0, 1.5),
+        enemies=line("zealot", 5, 23.0, 16.0),
+        floor=BAND,
+        goals=((9.0, 16.0),),
+        max_steps=250,
+    ),
+}
+"""Those that have a name."""

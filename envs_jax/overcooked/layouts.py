@@ -1,0 +1,147 @@
+"""Kitchens of Overcooked as text.
+
+The five layouts of Carroll et al. (2019, Fig. 3) are those of `overcooked_ai`'s files. A letter is
+a cell, a line is a row: X counter, O onions, D dishes, P pot, S serving window, a blank is floor,
+and 1 and 2 are the floor that players 0 and 1 start on.
+"""
+
+import difflib
+import textwrap
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from envs_jax.overcooked.rules import COUNTER, DISHES, FLOOR, ONIONS, POT, SERVING
+
+LAYOUTS = {
+    "cramped_room": """
+XXPXX
+O  2O
+X1  X
+XDXSX
+""",
+    "asymmetric_advantages": """
+XXXXXXXXX
+O XSXOX S
+X   P 1 X
+X2  P   X
+XXXDXDXXX
+""",
+    "coordination_ring": """
+XXXPX
+X 1 P
+D2X X
+O   X
+XOSXX
+""",
+    "forced_coordination": """
+XXXPX
+O X1P
+O2X X
+D X X
+XXXSX
+""",
+    "counter_circuit_o_1order": """
+XXXPPXXX
+X  2   X
+D XXXX S
+X  1   X
+XXXOOXXX
+""",
+}
+STATES = {
+    **{" ": FLOOR, "1": FLOOR, "2": FLOOR, "X": COUNTER},
+    **{"O": ONIONS, "D": DISHES, "P": POT, "S": SERVING},
+}
+
+
+class Kitchen(NamedTuple):
+    """A layout. Cells are numbered row by row from the top left: cell = width * y + x.
+
+    A pose is 4 * cell + orientation, in the order north, south, east, west.
+    """
+
+    width: int
+    """Number of columns."""
+    grid: np.ndarray
+    """(cells,), the state of every cell at the start; `overcooked_rules` has the codes."""
+    start: np.ndarray
+    """(2,), the cell that each player starts on."""
+    front: np.ndarray
+    """(poses,), the cell that is faced."""
+    moved: np.ndarray
+    """(poses * 6,), the pose that an action leads to if nobody is in the way."""
+
+    @property
+    def height(self) -> int:
+        """Number of rows."""
+        return len(self.grid) // self.width
+
+    @property
+    def pots(self) -> np.ndarray:
+        """The cells that are pots, in order."""
+        return np.flatnonzero(self.grid == POT)
+
+    def xy(self, cell: int) -> np.ndarray:
+        """(2,), x to the right and y down."""
+        return np.array([cell % self.width, cell // self.width])
+
+
+@lru_cache
+def read(layout: str) -> Kitchen:
+    """Look up the name of a layout, or read a kitchen of one's own.
+
+    Args:
+        layout: a key of `LAYOUTS`, or the kitchen itself as lines of text; blank lines around it
+            and an indentation that all lines share do not count.
+
+    Raises:
+        ValueError: no such name, or nobody can play in this kitchen.
+    """
+    if layout not in LAYOUTS and "\n" not in layout.strip():
+        close = difflib.get_close_matches(layout, LAYOUTS, n=1)
+        remedy = f"did you mean {close[0]!r}?" if close else f"choose from {', '.join(LAYOUTS)}"
+        raise ValueError(f"layout: there is none called {layout!r}; {remedy}")
+    rows = textwrap.dedent(LAYOUTS.get(layout, layout)).strip("\n").split("\n")
+    _check(rows)
+    text = "".join(rows)
+    width = len(rows[0])
+    grid = np.array([STATES[letter] for letter in text], np.int32)
+    cell = np.arange(len(grid), dtype=np.int32)[:, None]
+    # Modulo, for border cells, where nobody ever stands.
+    front = (cell + np.array([-width, width, 1, -1], np.int32)) % len(grid)
+    moved = np.empty((len(grid), 4, 6), np.int32)
+    moved[:] = (4 * cell + np.arange(4))[..., None]  # staying and interacting change no pose
+    moved[..., :4] = (4 * np.where(grid[front] == FLOOR, front, cell) + np.arange(4))[:, None]
+    start = np.array([text.index("1"), text.index("2")], np.int32)
+    return Kitchen(width, grid, start, front.ravel(), moved.ravel())
+
+
+def _check(rows: list[str]) -> None:
+    """Raise a `ValueError` unless two can cook in this kitchen."""
+    for number, row in enumerate(rows, 1):
+        if unknown := set(row) - set(STATES):
+            raise ValueError(
+                f"layout: unknown letter {min(unknown)!r} in row {number}; a cell is X counter, "
+                "O onions, D dishes, P pot, S serving window, a blank for floor, 1 or 2 player"
+            )
+        if len(row) != len(rows[0]):
+            raise ValueError(
+                f"layout: row {number} has {len(row)} cells, row 1 has {len(rows[0])}; "
+                "make all rows equally long"
+            )
+    text = "".join(rows)
+    for player in "12":
+        if text.count(player) != 1:
+            raise ValueError(
+                f"layout: found {text.count(player)} times {player!r}; there are exactly two "
+                "players, write one 1 and one 2"
+            )
+    parts = {"P": "pot", "O": "onions", "D": "dishes", "S": "serving window"}
+    for letter, part in parts.items():
+        if letter not in text:
+            raise ValueError(f"layout: no {part} on the map; write at least one {letter}")
+    border = rows[0] + rows[-1] + "".join(row[0] + row[-1] for row in rows)
+    if set(border) & set(" 12"):
+        raise ValueError("layout: the border is open; close it, for example with X")

@@ -1,0 +1,178 @@
+"""Pictures of Overcooked, drawn with NumPy: smooth by drawing twice as large and averaging."""
+
+from typing import Any
+
+import numpy as np
+
+from envs_jax.overcooked.layouts import Kitchen
+from envs_jax.overcooked.rules import (
+    CAPACITY,
+    COUNTER,
+    DISH,
+    DISHES,
+    FLOOR,
+    IDLE,
+    NOTHING,
+    ONION,
+    ONIONS,
+    POT,
+    READY,
+    SERVING,
+    SOUP,
+    read_pot,
+)
+
+SIDE = 64
+"""Pixels of a cell."""
+DETAIL = 2
+COOKS = ((58, 110, 196), (214, 84, 60))
+"""Colors of agents 0 and 1."""
+COLORS = {
+    "floor": (243, 238, 226),
+    "joint": (226, 218, 200),
+    "counter": (176, 128, 82),
+    "top": (201, 155, 106),
+    "crate": (120, 82, 48),
+    "onion": (238, 190, 62),
+    "skin": (196, 138, 30),
+    "plate": (250, 250, 250),
+    "rim": (160, 168, 178),
+    "stove": (70, 74, 84),
+    "pot": (34, 36, 42),
+    "metal": (128, 134, 146),
+    "soup": (232, 148, 44),
+    "thin": (240, 205, 130),
+    "window": (112, 122, 128),
+    "sign": (96, 190, 120),
+    "empty": (52, 54, 60),
+    "ready": (84, 196, 98),
+    "ink": (36, 32, 30),
+    "hat": (255, 255, 255),
+}
+FACING = ((0, -1), (0, 1), (1, 0), (-1, 0))
+
+
+class _Canvas:
+    """An image to paint shapes on, in units of cells."""
+
+    def __init__(self, kitchen: Kitchen) -> None:
+        self.scale = SIDE * DETAIL
+        shape = (kitchen.height * self.scale, kitchen.width * self.scale, 3)
+        self.image = np.zeros(shape, np.float32)
+
+    def box(self, x: float, y: float, half: tuple, color: str, round_by: float = 0.0) -> None:
+        """A rectangle around (x, y) with rounded corners; `half` its width and height."""
+        part, dx, dy = self._around(x, y, half)
+        outside_x = np.maximum(abs(dx) - half[0] + round_by, 0)
+        outside_y = np.maximum(abs(dy) - half[1] + round_by, 0)
+        part[np.hypot(outside_x, outside_y) <= round_by] = COLORS[color]
+
+    def disc(self, x: float, y: float, radius: float, color: str | tuple) -> None:
+        """A disc around (x, y)."""
+        part, dx, dy = self._around(x, y, (radius, radius))
+        part[np.hypot(dx, dy) < radius] = COLORS[color] if isinstance(color, str) else color
+
+    def _around(self, x: float, y: float, half: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The part of the image around (x, y), and how far its columns and rows are from it."""
+        left, top = (max(int((c - h) * self.scale), 0) for c, h in zip((x, y), half))
+        right, bottom = (int((c + h) * self.scale) + 1 for c, h in zip((x, y), half))
+        part = self.image[top:bottom, left:right]
+        rows, columns = np.ogrid[: part.shape[0], : part.shape[1]]
+        dx, dy = (columns + left + 0.5) / self.scale - x, (rows + top + 0.5) / self.scale - y
+        return part, dx, dy
+
+    def item(self, x: float, y: float, item: int, size: float = 1.0) -> None:
+        """What a hand or a counter holds."""
+        if item == ONION:
+            self.disc(x, y, 0.17 * size, "skin")
+            self.disc(x, y, 0.14 * size, "onion")
+            self.box(x, y - 0.17 * size, (0.025 * size, 0.06 * size), "skin")
+        elif item >= DISH:
+            self.disc(x, y, 0.22 * size, "rim")
+            self.disc(x, y, 0.20 * size, "plate")
+            self.disc(x, y, 0.14 * size, "rim")
+            self.disc(x, y, 0.13 * size, "plate" if item == DISH else "soup")
+            self.bits(x, y, item - SOUP, size)
+
+    def bits(self, x: float, y: float, onions: int, size: float) -> None:
+        """As many onions as a soup has."""
+        for angle in np.arange(onions) * 2 * np.pi / CAPACITY - np.pi / 2:
+            place = x + 0.065 * size * np.cos(angle), y + 0.065 * size * np.sin(angle)
+            self.disc(*place, 0.045 * size, "thin")
+
+
+def draw(kitchen: Kitchen, state: Any) -> np.ndarray:
+    """A uint8 image (height, width, 3) of an unbatched `OvercookedState`."""
+    canvas = _Canvas(kitchen)
+    for cell, code in enumerate(np.asarray(state.grid).tolist()):
+        x, y = kitchen.xy(cell) + 0.5
+        _draw_cell(canvas, x, y, code)
+    for player, (pose, item) in enumerate(zip(np.asarray(state.pose), np.asarray(state.held))):
+        x, y = kitchen.xy(int(pose) // 4) + 0.5
+        color = COOKS[player ^ int(state.swapped)]
+        _draw_cook(canvas, x, y, FACING[int(pose) % 4], int(item), color)
+    height, width = kitchen.height * SIDE, kitchen.width * SIDE
+    parts = canvas.image.reshape(height, DETAIL, width, DETAIL, 3)
+    return parts.mean((1, 3)).round().astype(np.uint8)
+
+
+def _draw_cell(canvas: _Canvas, x: float, y: float, code: int) -> None:
+    """One cell around (x, y), without who stands there."""
+    if code == FLOOR:
+        canvas.box(x, y, (0.5, 0.5), "joint")
+        canvas.box(x, y, (0.485, 0.485), "floor")
+        return
+    canvas.box(x, y, (0.5, 0.5), "counter")
+    canvas.box(x, y - 0.02, (0.47, 0.46), "top", 0.06)
+    if code == ONIONS:
+        canvas.box(x, y, (0.36, 0.32), "crate", 0.05)
+        for dx, dy in ((-0.15, -0.08), (0.15, -0.08), (0, 0.1)):
+            canvas.item(x + dx, y + dy, ONION, 0.85)
+    elif code == DISHES:
+        for lift in (0.09, 0.03, -0.03, -0.09):
+            canvas.item(x, y + lift, DISH, 1.3)
+    elif code == SERVING:
+        canvas.box(x, y, (0.47, 0.47), "window", 0.06)
+        canvas.disc(x, y + 0.04, 0.26, "sign")
+        canvas.box(x, y + 0.22, (0.3, 0.14), "window")
+        canvas.box(x, y + 0.12, (0.32, 0.035), "sign", 0.03)
+        canvas.disc(x, y - 0.24, 0.05, "sign")
+    elif code >= POT:
+        _draw_pot(canvas, x, y, *read_pot(code))
+    elif code > COUNTER:
+        canvas.item(x, y, code - COUNTER, 1.3)
+
+
+def _draw_pot(canvas: _Canvas, x: float, y: float, onions: int, cooked: int) -> None:
+    """A pot on its stove, what is in it, and how far it is."""
+    canvas.box(x, y, (0.45, 0.45), "stove", 0.06)
+    canvas.box(x, y - 0.07, (0.42, 0.05), "metal", 0.04)
+    canvas.disc(x, y - 0.07, 0.34, "metal")
+    canvas.disc(x, y - 0.07, 0.30, "pot")
+    if cooked == IDLE:
+        for angle in np.arange(onions) * 2 * np.pi / CAPACITY - np.pi / 2:
+            canvas.item(x + 0.14 * np.cos(angle), y - 0.06 + 0.14 * np.sin(angle), ONION, 0.75)
+        return
+    canvas.disc(x, y - 0.07, 0.26, "soup")
+    canvas.bits(x, y - 0.07, onions, 1.9)
+    canvas.box(x, y + 0.36, (0.38, 0.06), "empty", 0.03)
+    done = 0.36 * cooked / READY
+    color = "ready" if cooked == READY else "onion"
+    canvas.box(x - 0.36 + done, y + 0.36, (done, 0.04), color, min(0.02, done))
+
+
+def _draw_cook(
+    canvas: _Canvas, x: float, y: float, facing: tuple[int, int], item: int, color: tuple
+) -> None:
+    """A cook from above: shoulders in its color, a white hat, a nose and hands in front."""
+    dx, dy = facing
+    canvas.disc(x, y, 0.36, "ink")
+    canvas.disc(x, y, 0.335, color)
+    for side in (-1, 1):
+        hand = x + 0.30 * dx - 0.17 * side * dy, y + 0.30 * dy + 0.17 * side * dx
+        canvas.disc(*hand, 0.095, "ink")
+        canvas.disc(*hand, 0.07, color)
+    canvas.disc(x - 0.06 * dx, y - 0.06 * dy, 0.22, "rim")
+    canvas.disc(x - 0.06 * dx, y - 0.06 * dy, 0.20, "hat")
+    if item != NOTHING:
+        canvas.item(x + 0.31 * dx, y + 0.31 * dy, item)

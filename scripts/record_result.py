@@ -1,0 +1,217 @@
+"""Keep a finished run: RUN -> results/TASK/NAME.json, its images, and docs/results.md anew.
+
+A task is one of `TASKS`; NAME begins with the algorithm's name, or with `no` for an ablation.
+
+python results/record.py RUN results/alice_and_bob/hmasd.json
+python results/record.py             # only docs/results.md, from the files that are there
+"""
+
+import json
+import sys
+from itertools import pairwise
+from pathlib import Path
+from statistics import fmean
+from typing import Any, NamedTuple
+
+from hmasd_jax.analysis.curves import Reference, plot_result, recorded_curves
+from hmasd_jax.analysis.figures import draw_groups
+from hmasd_jax.analysis.statistics import last_evaluations, summarize
+from hmasd_jax.cli.summary import LAST, main_metric
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs import metrics_log as logging
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "results.md"
+
+
+class Task(NamedTuple):
+    """One task of the paper, in the units of the page: percent of success, or the return."""
+
+    paper: dict[str, str]
+    """Each algorithm's mean and standard deviation over the paper's five seeds."""
+    bar: float
+    """What a seed must reach to count as one that learned."""
+    reference: Reference | None = None
+    """The paper's HMASD, read off its figures; final numbers from the text where it has them."""
+
+
+TASKS = {
+    "alice_and_bob": Task(
+        {"hmasd": "74 ± 26", "mappo": "0", "mat": "40 ± 49"},
+        90,
+        Reference(
+            "paper, Fig. 5 (5 seeds)",
+            (0.5e6, 1.0e6, 1.3e6, 1.9e6, 2.5e6),
+            (0.21, 0.60, 0.64, 0.55, 0.79),
+            final=(0.74, 0.26),
+        ),
+    ),
+    "overcooked/cramped_room": Task(
+        {"hmasd": "236 ± 8", "mappo": "180 ± 90", "mat": "168 ± 88"},
+        200,  # below the worst of the paper's five, 220 if four have 240
+        Reference("paper, Fig. 7 (5 seeds)", (3e6, 4.5e6), (94, 213), final=(236, 8)),
+    ),
+    "overcooked/asymmetric_advantages": Task(
+        {"hmasd": "295 ± 85", "mappo": "52 ± 104", "mat": "86 ± 112"}, 295
+    ),
+    "overcooked/coordination_ring": Task({"hmasd": "80 ± 98", "mappo": "0", "mat": "0"}, 80),
+    "micro_battle/3m": Task(
+        {"hmasd": "80 ± 40", "mappo": "0", "mat": "0"},
+        80,
+        Reference(
+            "paper, Fig. 6 (5 seeds, StarCraft II)",
+            (0.7e6, 1.0e6, 1.2e6),
+            (0.08, 0.49, 0.72),
+            final=(0.8, 0.4),
+        ),
+    ),
+    "micro_battle/2s_vs_1sc": Task({"hmasd": "60 ± 49", "mappo": "0", "mat": "0"}, 80),
+    "micro_battle/2m_vs_1z": Task({"hmasd": "40 ± 49", "mappo": "0", "mat": "0"}, 80),
+}
+
+HEAD = """# Results
+
+Written by `python results/record.py` from the files in [`results/`](../results), each of which
+holds the command, configuration, commit, versions and hardware that made it, every evaluation of
+every seed, and in all but the oldest what training measured, as means over each tenth of it.
+Success in percent of greedy episodes, or their mean return; the mean of the last {last} evaluations
+of each seed, then over seeds. "±" is the (population) standard deviation over seeds, as in the
+paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and "worst" is the worst
+seed.
+"""
+TOGETHER = ("compared", "ablations")
+"""Images of several runs."""
+NUM_PARTS = 10
+"""Parts of a run that training is described by."""
+NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
+COLUMNS = (
+    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
+)
+
+
+def record(run: Path) -> dict[str, Any]:
+    """What is kept of a run.
+
+    Raises:
+        SystemExit: a seed has not come to its end, or seeds were evaluated at different steps.
+    """
+    about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
+    env_steps, values, training, wall_seconds = None, [], [], []
+    for seed in run_folder.seeds_of(run):
+        records = logging.read(run_folder.metrics_path(run, seed))
+        evaluations = [entry for entry in records if entry["kind"] == "eval"]
+        steps = [entry["env_steps"] for entry in evaluations]
+        env_steps = env_steps or steps
+        if not evaluations or steps != env_steps:
+            raise SystemExit(
+                f"seed {seed} of {run} has not been evaluated as the others: resume it"
+            )
+        metric = main_metric(evaluations[-1])
+        values.append([round(entry[metric], 6) for entry in evaluations])
+        training.append(training_means(records))
+        wall_seconds.append(records[-1]["wall_seconds"])
+    return {
+        **about,
+        "command": " ".join(about["command"]),
+        "config": config,
+        "metric": metric,
+        "env_steps": env_steps,
+        "values": values,
+        "training_means": training,
+        "wall_seconds": wall_seconds,
+    }
+
+
+def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """Each metric of training over ten equal parts of it; None where no episode ended."""
+    lines = [entry for entry in records if entry["kind"] == "train"]
+    names = dict.fromkeys(name for entry in lines for name in entry if name not in NOT_MEANS)
+    bounds = [len(lines) * part // NUM_PARTS for part in range(NUM_PARTS + 1)]
+    means = {name: [] for name in names}
+    for start, end in pairwise(bounds):
+        for name, kept in means.items():
+            values = [entry[name] for entry in lines[start:end] if name in entry]
+            kept.append(float(f"{fmean(values):.4g}") if values else None)
+    return means
+
+
+def recorded(task: str) -> list[Path]:
+    """What there is on a task."""
+    return sorted((ROOT / "results" / task).glob("*.json"))
+
+
+def draw_together(task: str) -> None:
+    """Draw the algorithms on a task into one image, and HMASD with its ablations into another."""
+    files = recorded(task)
+    ablations = [path for path in files if path.stem.startswith("no")]
+    algorithms = [path for path in files if path not in ablations]
+    full = [path for path in files if path.stem == "hmasd"]
+    metric = json.loads(files[0].read_text())["metric"]
+    for name, paths in zip(TOGETHER, (algorithms, full + ablations)):
+        if paths != full:  # which has an image of its own
+            curves = [recorded_curves(path) for path in paths]
+            draw_groups(curves, task, metric, ROOT / "results" / task / f"{name}.png")
+
+
+def algorithm_of(path: Path) -> str:
+    """What the name of a recorded run begins with; `hmasd` for `hmasd_robust.json`."""
+    return path.stem.partition("_")[0]
+
+
+def row(path: Path, kept: dict[str, Any], task: Task) -> str:
+    """One line of the table: what is kept of a run in a file."""
+    scale = 100 if kept["metric"] == "success" else 1
+    final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
+    low, high = final["interval"]
+    cells = [
+        f"[{path.stem}](../{path.relative_to(ROOT)})",
+        str(final["seeds"]),
+        f"{kept['env_steps'][-1]:,}",
+        task.paper.get(algorithm_of(path), ""),
+        f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
+        f"{final['min']:.1f}",
+        f"{final['fraction_solved']:.0%}",
+        f"`{kept['commit'][:7]}`",
+        f"{sum(kept['wall_seconds']) / 3600:.1f}",
+    ]
+    return f"| {' | '.join(cells)} |"
+
+
+def page() -> str:
+    """docs/results.md."""
+    parts = [HEAD.format(last=LAST)]
+    for name, task in TASKS.items():
+        files = recorded(name)
+        if not files:
+            continue
+        kept = [json.loads(path.read_text()) for path in files]
+        rows = [row(path, result, task) for path, result in zip(files, kept)]
+        commands = dict.fromkeys(f"    {result['command']}" for result in kept)
+        images = [
+            f"![{image.stem}](../{image.relative_to(ROOT)})"
+            for image in sorted((ROOT / "results" / name).glob("*.png"))
+            if image.stem in TOGETHER or image.with_suffix(".json") in files
+        ]
+        rule = "|---" * COLUMNS.count(" | ") + "|---|"
+        columns = COLUMNS.format(bar=f"{task.bar:g}")
+        parts += ["\n".join([f"## {name}\n", columns, rule, *rows, "", *commands, "", *images, ""])]
+    return "\n".join(parts)
+
+
+def main(arguments: list[str]) -> None:
+    """Record a run if one is given, then write the page."""
+    if arguments:
+        run, out = Path(arguments[0]), Path(arguments[1]).resolve()
+        task = out.parent.relative_to(ROOT / "results").as_posix()
+        if task not in TASKS:
+            raise SystemExit(f"no task is called {task!r}; choose from {', '.join(TASKS)}")
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(record(run)) + "\n")
+        if algorithm_of(out) == "hmasd":
+            plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
+        draw_together(task)
+    PAGE.write_text(page())
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,1 @@
+"""Learning curves, statistics and pictures of finished or running runs."""

@@ -1,0 +1,117 @@
+"""Runs on one task side by side: curves, and statistics over seeds with 95 % intervals.
+
+After Agarwal et al., `Deep Reinforcement Learning at the Edge of the Statistical Precipice
+<https://arxiv.org/abs/2108.13264>`_, 2021: interquartile means, bootstrap intervals that draw seeds
+anew, and the probability that a seed of one algorithm does better than one of another.
+"""
+
+import json
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.table import Table
+
+from envs_jax.optional import require
+from hmasd_jax.analysis.curves import labels_of, read_evaluations
+from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups
+from hmasd_jax.analysis.statistics import (
+    Array,
+    Estimate,
+    estimate,
+    estimate_fraction,
+    interquartile_mean,
+    last_evaluations,
+    probability_of_improvement,
+)
+from hmasd_jax.runs.folder import RunError
+
+
+class Comparison(NamedTuple):
+    """What several runs reached on one task."""
+
+    task: str
+    metric: str
+    labels: list[str]
+    curves: list[list[Curve]]
+    """Per run, one per seed."""
+    env_steps: int
+    """Where all seeds of all runs were evaluated last: what the scores are taken at."""
+    scores: list[Array]
+    """Per run, one per seed: the mean of its last evaluations up to `env_steps`."""
+    last: int
+    solved_at: float
+
+    def draw(self, out: Path) -> Path:
+        """Draw the curves with their intervals; returns `out`."""
+        require("matplotlib", "plots", "plotting")
+        return draw_groups(list(zip(self.labels, self.curves)), self.task, self.metric, out)
+
+
+def compare_runs(
+    runs: Sequence[Path], metric: str = "success", last: int = 5, solved_at: float = 0.9
+) -> Comparison:
+    """Read the evaluations of runs on one task.
+
+    Args:
+        runs: folders of runs, finished or not.
+        metric: name in the evaluations, e.g. `success` or `return`.
+        last: evaluations that a seed's score is the mean of.
+        solved_at: score from which on a seed counts as one that learned.
+
+    Raises:
+        RunError: a folder is not one of a run, the tasks differ, or there are too few evaluations.
+    """
+    runs = [Path(run) for run in runs]
+    curves = [read_evaluations(run, metric) for run in runs]
+    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    for run, table in zip(runs, tables):
+        if table["env"] != tables[0]["env"]:
+            raise RunError(
+                f"{run} is on another task than {runs[0]}: {table['env']}, not {tables[0]['env']}"
+            )
+    steps, _ = common_steps([curve for seeds in curves for curve in seeds])
+    if len(steps) < last:
+        raise RunError(
+            f"the seeds of these runs have {len(steps)} evaluations of {metric} in common, and "
+            f"the last {last} are to be compared: wait for more, or ask for fewer with --last"
+        )
+    scores = []
+    for seeds in curves:
+        own, values = common_steps(seeds)
+        scores.append(last_evaluations(values[:, own <= steps[-1]], last))
+    names = labels_of(runs, tables)
+    task = tables[0]["env"]["name"]
+    return Comparison(task, metric, names, curves, int(steps[-1]), scores, last, solved_at)
+
+
+def tables(comparison: Comparison) -> list[Table]:
+    """The statistics as tables: of each run, and of each pair of runs."""
+    labels, scores = comparison.labels, comparison.scores
+    of_each = Table(
+        "run", "seeds", "interquartile mean", "mean", f"seeds ≥ {comparison.solved_at:g}",
+        title=f"{comparison.task}: {comparison.metric} of the last {comparison.last} evaluations "
+        f"up to {comparison.env_steps:,} env steps; 95 % intervals",
+    )  # fmt: skip
+    for label, own in zip(labels, scores):
+        means = (
+            estimate([own], lambda groups, mean=mean: mean(groups[0]))
+            for mean in (interquartile_mean, np.mean)
+        )
+        solved = estimate_fraction(own, comparison.solved_at)
+        of_each.add_row(label, str(len(own)), *map(_write, means), _write(solved))
+    if len(scores) < 2:
+        return [of_each]
+    of_pairs = Table("", "", "probability", title="Probability that a seed of the first is better")
+    for first, second in combinations(range(len(scores)), 2):
+        better = estimate(
+            [scores[first], scores[second]], lambda groups: probability_of_improvement(*groups)
+        )
+        of_pairs.add_row(labels[first], labels[second], _write(better))
+    return [of_each, of_pairs]
+
+
+def _write(estimate: Estimate) -> str:
+    return f"{estimate.value:.3f} [{estimate.low:.3f}, {estimate.high:.3f}]"

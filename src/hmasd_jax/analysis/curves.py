@@ -1,0 +1,212 @@
+"""Learning curves over seeds, from run folders and from recorded results.
+
+Every curve is the mean over seeds with its 95 % bootstrap interval; thin lines are the seeds.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+
+from envs_jax.optional import require
+from hmasd_jax.analysis.figures import (
+    COLORS,
+    Curve,
+    colors,
+    common_steps,
+    draw_curves,
+    finish,
+    new_figure,
+    save,
+)
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.runs.folder import RunError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+ENTROPIES = {"coordinator/team_entropy": "team", "coordinator/skill_entropy": "individual"}
+ACCURACIES = {
+    "discriminators/team_accuracy": "team",
+    "discriminators/individual_accuracy": "individual",
+}
+NUM_SKILLS = {"team": "num_team_skills", "individual": "num_skills"}
+STYLES: dict[str, Literal["-", "--"]] = {"team": "-", "individual": "--"}
+
+
+class Reference(NamedTuple):
+    """Numbers of somebody else to draw beside a result."""
+
+    label: str
+    env_steps: Sequence[float]
+    values: Sequence[float]
+    """Mean over seeds at each of `env_steps`."""
+    final: tuple[float, float] | None = None
+    """Mean and standard deviation over seeds at the end."""
+
+
+def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
+    """Draw the evaluations of one or more runs, finished or not, and how skills separated.
+
+    Args:
+        runs: folders; each becomes one curve over its seeds.
+        out: image to write; the suffix is its format.
+        metric: name in the evaluations, e.g. `success`, `return` or `length`.
+
+    Returns:
+        `out`.
+
+    Raises:
+        MissingPackageError: matplotlib is not installed.
+        RunError: a folder is not one of a run, or has no evaluation of that name yet, or `out`
+            cannot be written.
+    """
+    require("matplotlib", "plots", "plotting")
+    runs = [Path(run) for run in runs]
+    curves = [read_evaluations(run, metric) for run in runs]
+    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    panels = _diagnostics(runs, tables)
+    figure, main, side = new_figure(panels=bool(panels))
+    for seeds, label, color in zip(curves, labels_of(runs, tables), colors(len(runs))):
+        draw_curves(main, seeds, label, color)
+    names = sorted({table["env"]["name"] for table in tables})
+    finish(main, ", ".join(names), metric, legend=True)
+    for axes, (title, lines) in zip(side, panels.items()):
+        for curve, style, color in lines:
+            axes.plot(*curve, color=color, linestyle=style, linewidth=1.4)
+        finish(axes, title, None)
+    if panels:
+        _explain_styles(side[0])
+        side[-1].set_xlabel("environment steps", fontsize=8)
+    return save(figure, out)
+
+
+def plot_result(result: Path, out: Path, reference: Reference | None = None) -> Path:
+    """Draw a recorded result.
+
+    Args:
+        result: JSON file with `metric`, `env_steps` (evaluations) and `values`
+            (seeds, evaluations).
+        out: image to write; the suffix is its format.
+        reference: numbers to draw beside it, in the units of the metric.
+
+    Returns:
+        `out`.
+
+    Raises:
+        MissingPackageError: matplotlib is not installed.
+    """
+    require("matplotlib", "plots", "plotting")
+    record = json.loads(Path(result).read_text())
+    label, curves = recorded_curves(result)
+    figure, axes, _ = new_figure(panels=False)
+    draw_curves(axes, curves, label, COLORS[0])
+    if reference is not None:
+        end = record["env_steps"][-1]
+        _draw_reference(axes, reference, end, percent=record["metric"] == "success")
+    finish(axes, Path(result).parent.name, record["metric"], legend=True)
+    return save(figure, out)
+
+
+def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
+    """Name and evaluations of a recorded result, one curve per seed."""
+    record = json.loads(Path(result).read_text())
+    steps = np.asarray(record["env_steps"], float)
+    curves = [(steps, np.asarray(values, float)) for values in record["values"]]
+    seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
+    return f"{Path(result).stem} ({seeds})", curves
+
+
+def read_evaluations(run: Path, metric: str) -> list[Curve]:
+    """One curve of evaluations per seed.
+
+    Raises:
+        RunError: not the folder of a run, or it has no evaluation of that name yet.
+    """
+    curves = read_curves(run, "eval", metric)
+    if not curves:
+        raise RunError(f"{run} has no evaluation of {metric} yet: {_known_metrics(run)}")
+    return curves
+
+
+def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
+    """One curve per seed that has any record of the metric; `kind` is `train` or `eval`."""
+    run_folder.read_config(run)  # for its error where there is no run
+    curves = []
+    for seed in run_folder.seeds_of(run):
+        records = logging.read(run_folder.metrics_path(run, seed))
+        points = [
+            (record["env_steps"], record[metric])
+            for record in records
+            if record["kind"] == kind and metric in record
+        ]
+        if points:
+            steps, values = np.array(points, float).T
+            curves.append((steps, values))
+    return curves
+
+
+def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[Curve, str, str]]]:
+    """Title and (curve, line style, color) of each side panel: means over seeds.
+
+    Entropies are divided by those of uniform choice, so that all lie in [0, 1]. A level with a
+    single skill has nothing to show.
+    """
+    panels = {"skill entropy / uniform": ENTROPIES, "discriminator accuracy": ACCURACIES}
+    found: dict[str, list[tuple[Curve, str, str]]] = {title: [] for title in panels}
+    for run, table, color in zip(runs, tables, colors(len(runs))):
+        for title, metrics in panels.items():
+            for metric, level in metrics.items():
+                count = table["algorithm"].get(NUM_SKILLS[level], 1)
+                curves = read_curves(run, "train", metric)
+                if count < 2 or not curves:
+                    continue
+                steps, values = common_steps(curves)
+                scale = np.log(count) if metrics is ENTROPIES else 1.0
+                found[title].append(((steps, values.mean(axis=0) / scale), STYLES[level], color))
+    return {title: lines for title, lines in found.items() if lines}
+
+
+def _draw_reference(axes: "Axes", reference: Reference, end: float, percent: bool) -> None:
+    """Points of the reference's curve, and its final mean with standard deviation at `end`."""
+    color = "#333333"
+    axes.plot(
+        reference.env_steps, reference.values, "s:", color=color, markersize=5, linewidth=1,
+        label=reference.label,
+    )  # fmt: skip
+    if reference.final is not None:
+        mean, std = reference.final
+        written = f"{mean:.0%} ± {std:.0%}" if percent else f"{mean:.0f} ± {std:.0f}"
+        axes.errorbar(
+            end, mean, yerr=std, fmt="D", color=color, capsize=4, markersize=5, linewidth=1,
+            label=f"  its final {written} (std)",
+        )  # fmt: skip
+
+
+def _explain_styles(axes: "Axes") -> None:
+    """What solid and dashed lines are."""
+    from matplotlib.lines import Line2D
+
+    lines = [Line2D([], [], color="#444444", linestyle=s, label=k) for k, s in STYLES.items()]
+    axes.legend(handles=lines, frameon=False, fontsize=8, loc="best")
+
+
+def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
+    """Names of the algorithms if they tell the runs apart, else names of the folders."""
+    names = [table["algorithm"]["name"] for table in tables]
+    if len(set(names)) < len(names):
+        names = [run.resolve().name for run in runs]
+    counts = [len(run_folder.seeds_of(run)) for run in runs]
+    return [f"{name} ({n} seed{'s' * (n > 1)})" for name, n in zip(names, counts)]
+
+
+def _known_metrics(run: Path) -> str:
+    """What could be plotted instead."""
+    for seed in run_folder.seeds_of(run):
+        for record in logging.read(run_folder.metrics_path(run, seed)):
+            if record["kind"] == "eval":
+                return f"there are {', '.join(sorted(set(record) - logging.NOT_METRICS))}"
+    return "wait for its first one"

@@ -1,0 +1,212 @@
+"""Episodes of a trained policy as animations that show the skills in use."""
+
+import importlib.util
+import warnings
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from envs_jax import Environment
+from envs_jax.optional import require
+from hmasd_jax.analysis.frames import INK, LOST, WON, describe_agents, draw_frame
+from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.load import TrainedRun, load_run
+from hmasd_jax.types import Key, Policy
+
+PAUSE = 1.5
+"""Seconds that the end of an episode stays on screen."""
+
+
+class Episode(NamedTuple):
+    """One episode of T steps."""
+
+    env_states: list[Any]
+    """T + 1 unbatched states, the first and the last included."""
+    skills: np.ndarray | None
+    """(T, tokens): Z, z^1..z^N at every step; None for policies without skills."""
+    rewards: np.ndarray
+    """(T,)"""
+    success: bool | None
+    """None if the environment does not tell."""
+
+
+def render_run(
+    run: Path,
+    out: Path,
+    seed: int = 0,
+    team_skill: int | None = None,
+    episodes: int = 1,
+    fps: float = 5,
+    step: int | None = None,
+    skills: Sequence[int | None] | None = None,
+    greedy: bool = True,
+    episode_seed: int = 0,
+) -> Path:
+    """Play episodes with what a run has trained, and write them as an animation.
+
+    Args:
+        run: folder of the run, finished or still running.
+        out: file to write, .gif, or .mp4 (package imageio-ffmpeg).
+        seed: index of the seed in the run.
+        team_skill: Z to hold throughout; the coordinator then only chooses individual skills.
+        episodes: number of episodes, one after the other.
+        fps: environment steps per second.
+        step: environment steps of the checkpoint; None is the newest.
+        skills: (Z, z^1, .., z^N) to hold throughout, None where the coordinator chooses; instead
+            of `team_skill`.
+        greedy: whether to act by arg-max or to sample.
+        episode_seed: source of the episodes' randomness, e.g. of where agents start.
+
+    Returns:
+        `out`.
+
+    Raises:
+        MissingPackageError: imageio or Pillow is not installed.
+        RunError: not the folder of a run, no such seed or skill, or `out` cannot be written.
+        CheckpointError: nothing was saved yet, or it is damaged.
+    """
+    for package in ("imageio", "PIL", "matplotlib"):
+        require(package, "plots", "rendering")
+    check_format(out)
+    trained = load_run(run, seed, step)
+    if team_skill is not None:
+        skills = (team_skill, *[None] * trained.env.num_agents)
+    policy = make_policy(trained, skills, greedy)
+    keys = jax.random.split(jax.random.key(episode_seed), episodes)
+    frames: list[np.ndarray] = []
+    for number, episode in enumerate(record(trained.env, policy, keys)):
+        title = f"episode {number + 1}/{episodes}" if episodes > 1 else f"seed {seed}"
+        frames += draw_episode(trained.env, episode, title, pause=round(PAUSE * fps))
+    return write(out, frames, fps)
+
+
+def make_policy(
+    trained: TrainedRun, skills: Sequence[int | None] | None = None, greedy: bool = True
+) -> Policy:
+    """The policy of a run, holding the given skills.
+
+    Raises:
+        RunError: the algorithm has no skills, or not these.
+    """
+    if skills is None:
+        return trained.algorithm.policy(trained.state, greedy)
+    if not hasattr(trained.config.algorithm, "num_team_skills"):
+        name = type(trained.config.algorithm).__name__.removesuffix("Config")
+        raise RunError(f"{name} has no skills to hold: render it without")
+    try:
+        return trained.algorithm.policy(trained.state, greedy, skills=skills)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def play(env: Environment, policy: Policy, keys: Key) -> tuple[Any, Any, Any]:
+    """Play one episode per key, without reset at its end.
+
+    Returns:
+        Simulator states (E, max_steps + 1, ...), time steps of the same shape, and what the
+        policy adds to its actions (E, max_steps, ...). After an episode's end they mean nothing.
+    """
+
+    def step(loop, key):
+        env_state, timestep, memory, first = loop
+        key_policy, key_env = jax.random.split(key)
+        memory, action, extras = policy.step(memory, timestep, first, key_policy)
+        env_state, timestep = env.step(key_env, env_state, action)
+        return (env_state, timestep, memory, jnp.array(False)), (env_state, timestep, extras)
+
+    def play_one(key):
+        key_reset, key_steps = jax.random.split(key)
+        env_state, timestep = env.reset(key_reset)
+        start = (env_state, timestep, policy.init(()), jnp.array(True))
+        keys = jax.random.split(key_steps, env.max_steps)
+        _, (env_states, timesteps, extras) = jax.lax.scan(step, start, keys)
+        visited = jax.tree.map(
+            lambda x, xs: jnp.concatenate([x[None], xs]),
+            (env_state, timestep),
+            (env_states, timesteps),
+        )
+        return (*visited, extras)
+
+    return jax.jit(jax.vmap(play_one))(keys)
+
+
+def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:
+    """One episode per key, cut at its end."""
+    env_states, timesteps, extras = jax.device_get(play(env, policy, keys))
+    lengths = timesteps.done.argmax(axis=1)
+    has_skills = isinstance(extras, np.ndarray) and extras.shape[2:] == (1 + env.num_agents,)
+    episodes = []
+    for index, length in enumerate(lengths):
+        success = timesteps.info.get("success")
+        episodes.append(
+            Episode(
+                [
+                    jax.tree.map(lambda x, i=index, t=t: x[i, t], env_states)
+                    for t in range(length + 1)
+                ],
+                extras[index, :length] if has_skills else None,
+                timesteps.reward[index, 1 : length + 1],
+                None if success is None else bool(success[index, length] > 0),
+            )
+        )
+    return episodes
+
+
+def draw_episode(
+    env: Environment, episode: Episode, title: str = "", pause: int = 0
+) -> list[np.ndarray]:
+    """Frames (height, width, 3), one per state, the last repeated `pause` times."""
+    length = len(episode.rewards)
+    agents = describe_agents(env)
+    frames = []
+    for time, env_state in enumerate(episode.env_states):
+        skills = None if episode.skills is None else episode.skills[min(time, length - 1)]
+        total = float(episode.rewards[:time].sum())
+        text, color = f"step {time}, return {total:g}", INK
+        if time == length:
+            outcome = {True: "success", False: "failure", None: "end"}[episode.success]
+            text = f"{outcome} after {length} steps, return {total:g}"
+            color = {True: WON, False: LOST, None: INK}[episode.success]
+        frames.append(draw_frame(env.render(env_state), (text, title), color, skills, agents))
+    return frames + frames[-1:] * pause
+
+
+def check_format(out: Path) -> None:
+    """Insist on a format that can be written here, before anything is played.
+
+    Raises:
+        RunError: it is neither .gif nor .mp4, or a package is missing for the latter.
+    """
+    suffix = Path(out).suffix
+    if suffix not in (".gif", ".mp4"):
+        raise RunError(f"cannot write {out}: choose a name that ends in .gif or .mp4")
+    if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
+        raise RunError(f"cannot write {out}: write a .gif, or pip install imageio-ffmpeg")
+
+
+def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
+    """Write an animation; all frames are of the same, even size.
+
+    Raises:
+        RunError: there is no such format, or the file cannot be written.
+    """
+    import imageio.v3 as iio
+
+    check_format(out)
+    out = Path(out)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        if out.suffix == ".gif":
+            iio.imwrite(out, frames, duration=1000 / fps, loop=0)
+            return out
+        with warnings.catch_warnings():
+            # The encoder is another program; starting it is harmless, whatever jax fears.
+            warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
+            iio.imwrite(out, np.stack(frames), fps=fps, macro_block_size=2)
+    except OSError as error:
+        raise RunError(f"cannot write {out}: {error.strerror or error}") from error
+    return out

@@ -1,0 +1,122 @@
+"""What each skill does, in one picture (as the paper's Figs. 4 and 9): for Alice_and_Bob."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from envs_jax import alice_and_bob
+from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.optional import require
+from hmasd_jax.analysis.figures import save
+from hmasd_jax.analysis.frames import describe_agents
+from hmasd_jax.analysis.render import make_policy, play
+from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.load import TrainedRun, load_run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def draw_skills(
+    run: Path, out: Path, seed: int = 0, step: int | None = None, episodes: int = 200
+) -> Path:
+    """Draw where each individual skill leads, and which of them each team skill calls for.
+
+    A map shows the share of time that an agent spends in each cell in the second half of a skill
+    interval in which all agents follow that skill, from random starts. The table beside it is
+    how often the coordinator gives the agent each z when Z is held; both act by arg-max.
+
+    Args:
+        run: folder of a run of HMASD on Alice_and_Bob, finished or still running.
+        out: image to write; the suffix is its format.
+        seed: index of the seed in the run.
+        step: environment steps of the checkpoint; None is the newest.
+        episodes: random starts per skill.
+
+    Returns:
+        `out`.
+
+    Raises:
+        MissingPackageError: matplotlib is not installed.
+        RunError: not the folder of a run, no such seed, another environment, or `out` cannot be
+            written.
+        CheckpointError: nothing was saved yet, or it is damaged.
+    """
+    require("matplotlib", "plots", "plotting")
+    from matplotlib.figure import Figure
+
+    trained = load_run(run, seed, step)
+    if not isinstance(trained.env, AliceAndBob):
+        raise RunError(f"{run} is not a run on alice_and_bob, whose maps these are")
+    visits = visitation(trained, episodes)  # (skills, agents, rows, columns)
+    choices = coordinator_choices(trained, episodes)  # (team skills, agents, skills)
+    num_skills, num_agents = visits.shape[:2]
+    size = (2.1 * (num_skills + 1), 2.2 * num_agents + 0.3)
+    figure = Figure(figsize=size, dpi=150, layout="constrained")
+    axes = figure.subplots(num_agents, num_skills + 1, squeeze=False)
+    for agent, (name, _) in enumerate(describe_agents(trained.env)):
+        for skill in range(num_skills):
+            _draw_map(axes[agent, skill], visits[skill, agent])
+            axes[0, skill].set_title(f"z = {skill}", fontsize=10)
+        axes[agent, 0].set_ylabel(name)
+        _draw_table(axes[agent, -1], choices[:, agent])
+    axes[0, -1].set_title("coordinator's z", fontsize=10)
+    figure.suptitle(f"{Path(run).resolve().name}, seed {seed}, env step {trained.env_steps:,}")
+    return save(figure, out)
+
+
+def visitation(trained: TrainedRun, episodes: int) -> np.ndarray:
+    """Share of time in each cell (skills, agents, rows, columns), per skill and agent."""
+    config, env = trained.config.algorithm, trained.env
+    keys = jax.random.split(jax.random.key(0), episodes)
+    end = min(config.skill_interval, env.max_steps)
+    maps = np.zeros((config.num_skills, env.num_agents, *alice_and_bob.BOARD.shape))
+    for skill in range(config.num_skills):
+        policy = make_policy(trained, (None, *[skill] * env.num_agents))
+        env_states, timesteps, _ = jax.device_get(play(env, policy, keys))
+        # (E, T + 1): up to the end of the episode, whose steps after that mean nothing.
+        alive = np.cumsum(timesteps.done, axis=1) - timesteps.done == 0
+        times = np.arange(alive.shape[1])
+        counted = alive & (times > end // 2) & (times <= end)
+        for agent in range(env.num_agents):
+            rows, columns = env_states.position[counted][:, agent].T
+            np.add.at(maps[skill, agent], (rows, columns), 1.0 / max(counted.sum(), 1))
+    return maps
+
+
+def coordinator_choices(trained: TrainedRun, episodes: int) -> np.ndarray:
+    """How often the coordinator gives z to each agent (team skills, agents, skills), at starts."""
+    config, env = trained.config.algorithm, trained.env
+    keys = jax.random.split(jax.random.key(1), episodes)
+    shares = np.zeros((config.num_team_skills, env.num_agents, config.num_skills))
+    for team_skill in range(config.num_team_skills):
+        policy = make_policy(trained, (team_skill, *[None] * env.num_agents))
+        _, _, skills = jax.device_get(play(env, policy, keys))
+        chosen = skills[:, 0, 1:]  # (E, agents)
+        shares[team_skill] = (chosen[..., None] == np.arange(config.num_skills)).mean(axis=0)
+    return shares
+
+
+def _draw_map(axes: "Axes", visits: np.ndarray) -> None:
+    """A board: darker where the agent is more often, with buttons and diamonds in outline."""
+    axes.imshow(np.sqrt(visits), cmap="Greys", vmin=0, vmax=1)  # the root shows rare cells too
+    for cells, marker in ((alice_and_bob.BUTTONS, "s"), (alice_and_bob.DIAMONDS, "D")):
+        for (row, column), name in zip(cells, ("red", "blue")):
+            color = np.array(alice_and_bob.COLORS[name]) / 255
+            axes.plot(column, row, marker, color=color, fillstyle="none", markersize=9, mew=2)
+    inside = (0.5, alice_and_bob.SIZE + 0.5)
+    axes.set(xlim=inside, ylim=inside[::-1], xticks=[], yticks=[])
+
+
+def _draw_table(axes: "Axes", shares: np.ndarray) -> None:
+    """Percentages (team skills, skills)."""
+    axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for (row, column), share in np.ndenumerate(shares):
+        color = "white" if share > 0.5 else "black"
+        axes.text(column, row, f"{share:.0%}", ha="center", va="center", color=color, fontsize=7)
+    team_skills, skills = shares.shape
+    axes.set_xticks(range(skills), [f"z={i}" for i in range(skills)], fontsize=7)
+    axes.set_yticks(range(team_skills), [f"Z={i}" for i in range(team_skills)], fontsize=7)
+    axes.tick_params(length=0)

@@ -1,0 +1,1 @@
+"""Algorithms that HMASD is compared with."""

@@ -1,0 +1,92 @@
+"""The end of a run: summary.json, a table on the console, and the learning curves."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from envs_jax.optional import MissingPackageError
+from hmasd_jax.analysis.curves import plot_runs
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.training.loop import Event
+
+LAST = 5
+"""Evaluations that the summary's main number is a mean of, to even out their noise."""
+
+
+def write(run: Path, results: dict[int, Event]) -> None:
+    """Write RUN/summary.json from the metrics on disk."""
+    seeds = {str(index): summarize(run, index) for index in run_folder.seeds_of(run)}
+    for index, event in results.items():
+        seeds.setdefault(str(index), {}).update(status=event.kind, **event.data)
+    run_folder.write_json(run / "summary.json", {"seeds": seeds, "over_seeds": over_seeds(seeds)})
+
+
+def summarize(run: Path, index: int) -> dict[str, Any]:
+    """Last evaluation of one seed, and means over its last few."""
+    records = logging.read(run_folder.metrics_path(run, index))
+    evaluations = [record for record in records if record["kind"] == "eval"]
+    if not evaluations:
+        return {}
+    metric = main_metric(evaluations[-1])
+    values = [record[metric] for record in evaluations]
+    return {
+        "env_steps": records[-1]["env_steps"],
+        "wall_seconds": records[-1]["wall_seconds"],
+        "metric": metric,
+        "final": values[-1],
+        "last_evaluations": float(np.mean(values[-LAST:])),
+        "best": max(values),
+    }
+
+
+def main_metric(evaluation: dict[str, Any]) -> str:
+    """What the task is judged by: success if it has one, else the return."""
+    return "success" if "success" in evaluation else "return"
+
+
+def over_seeds(seeds: dict[str, Any]) -> dict[str, float]:
+    """Mean and (population) standard deviation over the seeds, as the paper gives them."""
+    known = [seed for seed in seeds.values() if "final" in seed]
+    names = ("final", "last_evaluations") if known else ()
+    values = {name: [seed[name] for seed in known] for name in names}
+    means = {f"{name}_mean": float(np.mean(v)) for name, v in values.items()}
+    return means | {f"{name}_std": float(np.std(v)) for name, v in values.items()}
+
+
+def table(run: Path) -> Table:
+    """One line per seed, and one over all."""
+    seeds = {index: summarize(run, index) for index in run_folder.seeds_of(run)}
+    known = {index: seed for index, seed in seeds.items() if seed}
+    metric = next(iter(known.values()))["metric"] if known else "success"
+    result = Table("seed", "env steps", f"final {metric}", f"last {LAST} evaluations", "seconds")
+    for index, seed in known.items():
+        numbers = (f"{seed['final']:.3f}", f"{seed['last_evaluations']:.3f}")
+        result.add_row(
+            str(index), f"{seed['env_steps']:,}", *numbers, f"{seed['wall_seconds']:,.0f}"
+        )
+    if len(known) > 1:
+        over = over_seeds({str(k): v for k, v in known.items()})
+        spread = [
+            f"{over[f'{n}_mean']:.3f} ± {over[f'{n}_std']:.3f}"
+            for n in ("final", "last_evaluations")
+        ]
+        result.add_section()
+        result.add_row("mean ± std", "", *spread, "")
+    return result
+
+
+def plot(console: Console, run: Path) -> None:
+    """Write RUN/curves.png, or say what is missing for it."""
+    metrics = [s["metric"] for s in map(partial(summarize, run), run_folder.seeds_of(run)) if s]
+    if not metrics:
+        return
+    try:
+        out = plot_runs([run], run / "curves.png", metrics[0])
+        console.print(f"curves: {out}", markup=False, highlight=False, soft_wrap=True)
+    except MissingPackageError as error:
+        console.print(f"no curves.png: {error}", markup=False, soft_wrap=True)

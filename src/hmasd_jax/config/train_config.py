@@ -1,0 +1,204 @@
+"""Configuration of a run: TOML files and overrides into frozen dataclasses."""
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Generic, Literal, TypeVar
+
+from envs_jax import Environment
+from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.registry import ENVIRONMENTS
+from hmasd_jax.algorithms import ALGORITHMS
+from hmasd_jax.config.from_table import from_table
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.types import Algorithm
+from hmasd_jax.validation import ConfigError, check_range, suggest
+
+EnvT = TypeVar("EnvT")
+AlgorithmT = TypeVar("AlgorithmT")
+Layout = Literal["auto", "workers", "vmap", "map", "sharded"]
+DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
+
+EXTENSIBLE = ("total_env_steps", "num_seeds", "layout")
+"""Settings of `TrainConfig` that may change when a run is continued: nothing trained depends on
+them."""
+
+
+@dataclass(frozen=True)
+class TrainConfig(Generic[EnvT, AlgorithmT]):
+    """One experiment; the defaults are the paper's HMASD on Alice_and_Bob (Tables 1 to 3).
+
+    Raises:
+        ValueError: a number out of range, or fewer steps than one update takes.
+    """
+
+    env: EnvT = field(default_factory=AliceAndBob)  # pyrefly: ignore
+    """Settings of the environment."""
+    algorithm: AlgorithmT = field(default_factory=HMASDConfig)  # pyrefly: ignore
+    """Settings of the algorithm."""
+    total_env_steps: int = 3_000_000
+    """Environment steps per seed, rounded down to whole updates."""
+    eval_interval: int = 80_000
+    """Environment steps between evaluations; there is also one at step 0 and one at the end."""
+    eval_episodes: int = 100
+    """Episodes per evaluation, all played by arg-max at both levels."""
+    log_interval: int = 16_000
+    """Environment steps that one line of training metrics is pooled over."""
+    checkpoint_interval: int = 80_000
+    """Environment steps between checkpoints; there is also one at the end."""
+    keep_checkpoints: int = 3
+    """Newest checkpoints that stay on disk, per seed."""
+    seed: int = 0
+    """Seed of the experiment; training run i of a sweep uses `fold_in(key(seed), i)`."""
+    num_seeds: int = 5
+    """Training runs of a sweep; `train` runs one of them."""
+    layout: Layout = "auto"
+    """How a sweep computes its seeds: `workers`, one single-threaded process per core; `vmap`, all
+    at once in one program; `map`, one after the other in one program; `sharded`, over all devices.
+    `auto` takes `workers` on a CPU, `vmap` on one accelerator, `sharded` on several. The files are
+    the same."""
+
+    def __post_init__(self) -> None:
+        intervals = ("eval_interval", "log_interval", "checkpoint_interval")
+        counts = ("eval_episodes", "keep_checkpoints", "num_seeds")
+        check_range(self, "total_env_steps", *intervals, *counts, low=1)
+        check_range(self, "seed", low=0, high=2**32 - 1)
+        per_update = self.env_steps_per_update
+        if self.total_env_steps < per_update:
+            raise ValueError(
+                f"total_env_steps {self.total_env_steps} is less than one update takes "
+                f"({per_update} = algorithm.ppo.num_envs x algorithm.ppo.rollout_length): "
+                "raise it or lower those"
+            )
+
+    @property
+    def env_steps_per_update(self) -> int:
+        """Environment steps of one rollout over all environment copies."""
+        ppo = self.algorithm.ppo  # pyrefly: ignore
+        return ppo.num_envs * ppo.rollout_length
+
+
+def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
+    """Read a configuration.
+
+    Args:
+        path: a .toml file, a run's config.json, or None for the defaults.
+        overrides: values by dotted name, e.g. `{"algorithm.ppo.num_envs": 8}`; they win over the
+            file. With another `env.name` or `algorithm.name` than the file's, that table of the
+            file is left out.
+
+    Raises:
+        ConfigError: file not readable, unknown key or name, wrong type, or value out of range.
+    """
+    return from_json(override(_read(Path(path)) if path is not None else {}, overrides or {}))
+
+
+def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Put values by dotted name into nested tables; with another name, a section begins anew.
+
+    Raises:
+        ConfigError: a name leads through something that is not a table.
+    """
+    for section in ("env", "algorithm"):
+        name = overrides.get(f"{section}.name")
+        if name is not None and str(name) != _section(table, section).get(
+            "name", DEFAULT_NAMES[section]
+        ):
+            table[section] = {}
+    for dotted, value in overrides.items():
+        *parents, last = dotted.split(".")
+        node = table
+        for parent in parents:
+            node = node.setdefault(parent, {})
+            if not isinstance(node, dict):
+                raise ConfigError(f"unknown key {dotted}: {parent} is not a table")
+        node[last] = value
+    return table
+
+
+def from_json(table: Mapping[str, Any]) -> TrainConfig:
+    """The configuration that nested plain values describe; inverse of `to_json`.
+
+    Raises:
+        ConfigError: unknown key or name, wrong type, or value out of range.
+    """
+    env, algorithm = _section(table, "env"), _section(table, "algorithm")
+    env_type = _find(env.pop("name", DEFAULT_NAMES["env"]), ENVIRONMENTS, "env.name")
+    name = algorithm.pop("name", DEFAULT_NAMES["algorithm"])
+    entry = _find(name, ALGORITHMS, "algorithm.name")
+    built = {
+        "env": from_table(env_type, env, "env"),
+        "algorithm": from_table(entry.config, algorithm, "algorithm"),
+    }
+    return from_table(TrainConfig, {**table, **built})
+
+
+def to_json(config: TrainConfig) -> dict[str, Any]:
+    """Nested plain values of JSON types, names of environment and algorithm included."""
+    table = dataclasses.asdict(config)
+    env_name = _name_of(type(config.env), ENVIRONMENTS)
+    configs = {name: entry.config for name, entry in ALGORITHMS.items()}
+    table["env"] = {"name": env_name, **table["env"]}
+    table["algorithm"] = {"name": _name_of(type(config.algorithm), configs), **table["algorithm"]}
+    return json.loads(json.dumps(table))  # tuples become lists, as on disk
+
+
+def identity(table: dict[str, Any]) -> dict[str, Any]:
+    """By dotted name, all settings that must stay when a run is continued: not `EXTENSIBLE`."""
+    return {name: value for name, value in _flatten(table).items() if name not in EXTENSIBLE}
+
+
+def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, dict) and value:
+            flat |= _flatten(value, f"{prefix}{name}.")
+        else:
+            flat[f"{prefix}{name}"] = value
+    return flat
+
+
+def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
+    """The environment and the algorithm that `config` describes."""
+    for entry in ALGORITHMS.values():
+        if entry.config is type(config.algorithm):
+            return config.env, entry.make(config.env, config.algorithm)
+    raise ConfigError(f"{type(config.algorithm).__name__} belongs to no algorithm in ALGORITHMS")
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The tables of a .toml or .json file."""
+    try:
+        text = path.read_text()
+        return json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+    except OSError as error:
+        raise ConfigError(f"cannot read config file {path}: {error.strerror}") from error
+    except ValueError as error:  # both parsers say line and column
+        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
+
+
+def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """A copy of the table called `name`."""
+    section = table.get(name, {})
+    if not isinstance(section, Mapping):
+        raise ConfigError(
+            f'{name} must be a table with a name, e.g. [{name}] name = "...", got {section!r}'
+        )
+    return dict(section)
+
+
+def _find(name: Any, registry: Mapping[str, Any], path: str) -> Any:
+    if name not in registry:
+        raise ConfigError(f"unknown {path} {str(name)!r}{suggest(name, registry)}")
+    return registry[name]
+
+
+def _name_of(cls: type, registry: Mapping[str, type]) -> str:
+    """The name under which `cls` is registered."""
+    for name, registered in registry.items():
+        if registered is cls:
+            return name
+    raise ConfigError(f"{cls.__name__} is not registered: add it to {', '.join(registry)}")

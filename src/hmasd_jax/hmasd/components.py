@@ -1,0 +1,96 @@
+"""The networks and optimizers of HMASD for one environment: everything static, in one place."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from envs_jax import Environment
+from hmasd_jax.hmasd.ablations import make_coordinator
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.hmasd.coordinator import Coordinator
+from hmasd_jax.hmasd.discoverer import init_memory, make_discoverer
+from hmasd_jax.hmasd.discriminators import (
+    Discriminators,
+    SkillPair,
+    make_discriminators,
+    observe,
+)
+from hmasd_jax.networks.actor_critic import ActorCritic
+from hmasd_jax.rl.sgd import make_optimizer
+from hmasd_jax.types import Key, Learner
+from hmasd_jax.validation import ConfigError
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What the pure functions of HMASD close over."""
+
+    env: Environment
+    config: HMASDConfig
+    coordinator: Coordinator
+    discoverer: ActorCritic
+    discriminators: Discriminators
+    coordinator_optimizer: optax.GradientTransformation
+    discoverer_optimizer: optax.GradientTransformation
+    discriminator_optimizer: optax.GradientTransformation
+
+
+def make_parts(env: Environment, config: HMASDConfig) -> Parts:
+    """Build networks and optimizers; nothing is initialized yet.
+
+    Raises:
+        ConfigError: q_d is to see a feature that obs has not.
+    """
+    ppo = config.ppo
+    last = max(config.discriminator_obs, default=0)
+    if last >= env.obs_dim:
+        raise ConfigError(
+            f"algorithm.discriminator_obs has index {last}, but obs has {env.obs_dim} features "
+            f"(0 to {env.obs_dim - 1})"
+        )
+    return Parts(
+        env=env,
+        config=config,
+        coordinator=make_coordinator(config),
+        discoverer=make_discoverer(env, config),
+        discriminators=make_discriminators(config),
+        coordinator_optimizer=make_optimizer(ppo, ["params"]),
+        discoverer_optimizer=make_optimizer(ppo, ActorCritic._fields),
+        discriminator_optimizer=make_optimizer(
+            ppo, Discriminators._fields, config.discriminator_epochs
+        ),
+    )
+
+
+def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
+    """Fresh coordinator, discoverer and discriminators."""
+    env, config = parts.env, parts.config
+    key_coordinator, key_actor, key_critic, key_team, key_individual = jax.random.split(key, 5)
+    state, obs = jnp.zeros((1, env.state_dim)), jnp.zeros((1, env.num_agents, env.obs_dim))
+    first = jnp.zeros((1, env.num_agents), bool)
+    team_skill = jnp.zeros((1, config.num_team_skills))
+    skill = jnp.zeros((1, env.num_agents, config.num_skills))
+    memory = init_memory((), env.num_agents, config.ppo.hidden_size)
+    actor, critic = parts.discoverer
+    tokens = jnp.zeros((1, 1 + env.num_agents), int)
+    q_team, q_individual = parts.discriminators
+    seen = observe(SkillPair(state, obs, tokens), config, key)
+    team_skills = jnp.zeros((1, env.num_agents, config.num_team_skills))
+    coordinator = parts.coordinator.init(key_coordinator, state, obs, tokens)
+    discoverer = {
+        "actor": actor.init(key_actor, memory.actor, obs, first, skill),
+        "critic": critic.init(key_critic, memory.critic, state, first[:, 0], team_skill),
+    }
+    discriminators = {
+        "team": q_team.init(key_team, state),
+        "individual": q_individual.init(
+            key_individual, jnp.concatenate([seen.obs, team_skills], axis=-1)
+        ),
+    }
+    return (
+        Learner(coordinator, parts.coordinator_optimizer.init(coordinator)),
+        Learner(discoverer, parts.discoverer_optimizer.init(discoverer)),
+        Learner(discriminators, parts.discriminator_optimizer.init(discriminators)),
+    )

@@ -1,0 +1,1 @@
+"""Network blocks with the initialization and normalization of the references."""

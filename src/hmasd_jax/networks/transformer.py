@@ -1,0 +1,157 @@
+"""Encoder and decoder blocks of the Multi-Agent Transformer (MAT `ma_transformer.py`).
+
+Post-norm, no dropout, no positional embedding. Linear layers that feed a GELU are orthogonal with
+gain sqrt(2); all others have gain 0.01.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+
+import jax
+import jax.numpy as jnp
+from flax import linen as nn
+from jaxtyping import Array, Float, Int
+
+from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense
+from hmasd_jax.networks.recurrent import RELU_GAIN, dense
+from hmasd_jax.rl.categorical import MASKED_LOGIT, categorical
+from hmasd_jax.types import Key
+
+SMALL_GAIN = 0.01
+
+
+def gelu(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+    """GELU in its exact form, by erf as PyTorch's is; JAX's own, by erfc, compiles to more."""
+    return 0.5 * x * (1.0 + jax.lax.erf(x * math.sqrt(0.5)))
+
+
+class Attention(nn.Module):
+    """Multi-head attention; causal if token i may only look at tokens up to i."""
+
+    size: int
+    num_heads: int
+    causal: bool
+
+    @nn.compact
+    def __call__(
+        self, query: Float[Array, "*batch tokens size"], key: Float[Array, "*batch tokens size"]
+    ) -> Float[Array, "*batch tokens size"]:
+        """Attend from `query` to `key`, which also serves as the values."""
+
+        def heads(x, name):
+            x = dense(self.size, SMALL_GAIN, name=name)(x)
+            return x.reshape(*x.shape[:-1], self.num_heads, -1)
+
+        q, k, v = heads(query, "query"), heads(key, "key"), heads(key, "value")
+        scores = jnp.einsum("...qhd,...khd->...hqk", q, k) / jnp.sqrt(q.shape[-1])
+        if self.causal:
+            allowed = jnp.tril(jnp.ones(scores.shape[-2:], bool))
+            scores = jnp.where(allowed, scores, MASKED_LOGIT)
+        y = jnp.einsum("...hqk,...khd->...qhd", jax.nn.softmax(scores), v)
+        return dense(self.size, SMALL_GAIN, name="output")(y.reshape(*y.shape[:-2], -1))
+
+
+class FeedForward(nn.Module):
+    """Linear, GELU, Linear, all of the same width."""
+
+    size: int
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch size"]) -> Float[Array, "*batch size"]:
+        """Transform each token."""
+        return dense(self.size, SMALL_GAIN)(gelu(dense(self.size, RELU_GAIN)(x)))
+
+
+class EncoderBlock(nn.Module):
+    """x <- LN(x + Attn(x)); x <- LN(x + MLP(x)). Every token sees every other."""
+
+    size: int
+    num_heads: int
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch tokens size"]) -> Float[Array, "*batch tokens size"]:
+        """Encode all tokens."""
+        x = LayerNorm()(x + Attention(self.size, self.num_heads, causal=False)(x, x))
+        return LayerNorm()(x + FeedForward(self.size)(x))
+
+
+class DecoderBlock(nn.Module):
+    """x <- LN(x + CausalAttn(x)); x <- LN(e + CausalAttn(e, x)); x <- LN(x + MLP(x)).
+
+    e are the encoder's tokens. They query the second attention and carry its residual, so
+    token i of the output depends on e_i and on decoder inputs 0..i.
+    """
+
+    size: int
+    num_heads: int
+
+    @nn.compact
+    def __call__(
+        self, x: Float[Array, "*batch tokens size"], encoded: Float[Array, "*batch tokens size"]
+    ) -> Float[Array, "*batch tokens size"]:
+        """Decode all tokens at once."""
+        x = LayerNorm()(x + Attention(self.size, self.num_heads, causal=True)(x, x))
+        attended = Attention(self.size, self.num_heads, causal=True)(encoded, x)
+        x = LayerNorm()(encoded + attended)
+        return LayerNorm()(x + FeedForward(self.size)(x))
+
+
+class Head(nn.Module):
+    """Linear, GELU, LayerNorm, Linear with a small gain: MAT's output head."""
+
+    num_outputs: int
+    size: int
+
+    @nn.compact
+    def __call__(self, x: Float[Array, "*batch size"]) -> Float[Array, "*batch outputs"]:
+        """Outputs per token."""
+        hidden = LayerNorm().in_parts(gelu(dense(self.size, RELU_GAIN)(x)))
+        return NormedDense(self.num_outputs, SMALL_GAIN, name="Dense_1")(hidden)
+
+
+def decoder_inputs(
+    choices: Int[Array, "*batch tokens"], num_choices: int
+) -> Float[Array, "*batch tokens inputs"]:
+    """One-hot choices, shifted by one: the start symbol (index 0), then all but the last."""
+    start = jnp.zeros_like(choices[..., :1])
+    inputs = jnp.concatenate([start, choices[..., :-1] + 1], axis=-1)
+    return jax.nn.one_hot(inputs, num_choices + 1)
+
+
+def draw_in_turn(
+    decode: Callable[[Int[Array, "*batch tokens"]], Float[Array, "*batch tokens choices"]],
+    shape: tuple[int, ...],
+    key: Key,
+    greedy: bool = False,
+    fixed: Sequence[int | None] | None = None,
+) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
+    """Choose for one token after the other, each given the choices before it.
+
+    Args:
+        decode: logits of all tokens; those of token i depend on choices 0..i-1 only.
+        shape: (*batch, tokens).
+        key: of the draws.
+        greedy: whether to take the likeliest choice instead.
+        fixed: choices that are given, per token; None where there is one to make.
+
+    Returns:
+        Choices and their log-probabilities.
+    """
+    if fixed is not None:
+        is_fixed = jnp.array([choice is not None for choice in fixed])
+        fixed_choice = jnp.array([choice or 0 for choice in fixed])
+
+    def draw(choices, inputs):
+        token, key = inputs
+        distribution = categorical(jnp.take(decode(choices), token, axis=-2))
+        choice = distribution.mode() if greedy else distribution.sample(seed=key)
+        if fixed is not None:
+            choice = jnp.where(is_fixed[token], fixed_choice[token], choice)
+        return choices.at[..., token].set(choice), distribution.log_prob(choice)
+
+    tokens = shape[-1]
+    # A scan, so that the decoder is compiled once rather than once per token.
+    choices, log_prob = jax.lax.scan(
+        draw, jnp.zeros(shape, int), (jnp.arange(tokens), jax.random.split(key, tokens))
+    )
+    return choices, jnp.moveaxis(log_prob, 0, -1)

@@ -1,0 +1,1 @@
+"""Reinforcement learning that every algorithm shares: PPO, advantages, rollouts, evaluation."""

@@ -1,0 +1,30 @@
+"""Categorical distributions over actions and skills, some of which may be illegal."""
+
+from typing import TYPE_CHECKING
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+if TYPE_CHECKING:
+    from distrax import Categorical
+
+MASKED_LOGIT = -1e10
+"""Logit of an illegal action: its probability is 0, and gradients stay finite."""
+
+
+def categorical(logits: Float[Array, "*batch choices"]) -> "Categorical":
+    """Build a distrax distribution from logits.
+
+    distrax is imported at the first call: it takes as long to import as jax does, and neither
+    settings nor `--help` need it.
+    """
+    from distrax import Categorical
+
+    return Categorical(logits=logits)
+
+
+def mask_logits(
+    logits: Float[Array, "*batch choices"], mask: Bool[Array, "*batch choices"]
+) -> Float[Array, "*batch choices"]:
+    """Make illegal choices impossible."""
+    return jnp.where(mask, logits, MASKED_LOGIT)

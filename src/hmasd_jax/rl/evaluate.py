@@ -1,0 +1,44 @@
+"""Evaluation: a fixed number of whole episodes, in a fixed number of steps, inside jit."""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from envs_jax import Environment
+from hmasd_jax.rl import rollout
+from hmasd_jax.types import Key, Metrics, Policy, Transition
+
+
+def evaluate(env: Environment, policy: Policy, key: Key, num_episodes: int) -> Metrics:
+    """Play one episode in each of `num_episodes` copies.
+
+    Returns:
+        Means over the episodes: `return` (undiscounted), `length` in environment steps, and every
+        key of the environment's `info` at the episode's last step, e.g. `success`.
+    """
+    transitions = play(env, policy, key, num_episodes)
+    counted = first_episode(transitions)
+    outcome = transitions.outcome
+
+    def at_end(x: Float[Array, "T E"]) -> Float[Array, ""]:
+        return jnp.where(counted & outcome.done, x, 0.0).sum(0).mean()
+
+    return {
+        "return": jnp.where(counted, outcome.reward, 0.0).sum(0).mean(),
+        "length": counted.sum(0).astype(jnp.float32).mean(),
+        **{name: at_end(value) for name, value in outcome.info.items()},
+    }
+
+
+def play(env: Environment, policy: Policy, key: Key, num_episodes: int) -> Transition:
+    """Transitions (max_steps, num_episodes, ...); only `first_episode` of each copy is whole."""
+    key_reset, key_play = jax.random.split(key)
+    carry = rollout.reset(env, key_reset, num_episodes)
+    memory = policy.init((num_episodes,))
+    return rollout.unroll(env, policy.step, carry, memory, key_play, env.max_steps)[2]
+
+
+def first_episode(transitions: Transition) -> Array:
+    """True (T, E) at the steps of each copy's first episode, its last one included."""
+    done = transitions.outcome.done
+    return jnp.cumsum(done, axis=0) - done == 0

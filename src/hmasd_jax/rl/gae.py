@@ -1,0 +1,95 @@
+"""Generalized advantage estimation (Schulman et al., 2016), below Eq. 5."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from envs_jax import TimeStep
+from hmasd_jax.rl.ppo import PPOConfig, masked_mean
+from hmasd_jax.rl.rollout import following
+from hmasd_jax.rl.value_norm import ValueNorm, denormalize
+
+
+def gae(
+    reward: Float[Array, "T *batch"],
+    value: Float[Array, "T *batch"],
+    next_value: Float[Array, "T *batch"],
+    terminated: Bool[Array, "T *batch"],
+    done: Bool[Array, "T *batch"],
+    discount: float,
+    gae_lambda: float,
+) -> tuple[Float[Array, "T *batch"], Float[Array, "T *batch"]]:
+    """Advantages Â and targets R̂ = Â + V, by backward recursion.
+
+        δ_t = r_t + γ V'_t (1 - terminated_t) - V_t
+        Â_t = δ_t + γ λ (1 - done_t) Â_{t+1}
+
+    `next_value` V'_t is the value of what step t led to, before any reset; where an episode was
+    cut by its time limit (`done` without `terminated`) it is bootstrapped from, but no advantage
+    flows back over the cut. To treat time limits as terminal, pass `terminated=done`. All values
+    are in reward units (denormalized). Inputs broadcast against each other.
+    """
+    delta = reward + discount * next_value * (1.0 - terminated) - value
+    carry_over = jnp.broadcast_to(discount * gae_lambda * (1.0 - done), delta.shape)
+
+    def backward(following, step):
+        advantage = step[0] + step[1] * following
+        return advantage, advantage
+
+    _, advantage = jax.lax.scan(
+        backward, jnp.zeros_like(delta[0]), (delta, carry_over), reverse=True
+    )
+    return advantage, advantage + value
+
+
+def rollout_advantage(
+    reward: Float[Array, "T E #N"],
+    value: Float[Array, "T E #N"],
+    last_value: Float[Array, "E #N"],
+    outcome: TimeStep,
+    value_of_outcome: Callable[[], Float[Array, "T E #N"]],
+    norm: ValueNorm,
+    config: PPOConfig,
+) -> tuple[Float[Array, "T E N"], Float[Array, "T E N"]]:
+    """Advantages and targets of every step of a rollout, by `gae`.
+
+    Args:
+        reward: in reward units.
+        value: of what was seen at each step; this and the other values in normalized units.
+        last_value: of what is seen after the last step.
+        outcome: (T, E, ...) what each step led to, before any reset.
+        value_of_outcome: computes the values of `outcome`, needed only with `bootstrap_truncation`.
+        norm: the critic's units.
+        config: discount, lambda, and whether time limits are bootstrapped from.
+    """
+    next_value, terminated = following(value, last_value), outcome.done
+    if config.bootstrap_truncation:
+        next_value = jnp.where(outcome.truncated[..., None], value_of_outcome(), next_value)
+        terminated = outcome.terminated
+    return gae(
+        reward,
+        denormalize(norm, value),
+        denormalize(norm, next_value),
+        terminated[..., None],
+        outcome.done[..., None],
+        config.discount,
+        config.gae_lambda,
+    )
+
+
+def normalize_advantage(
+    advantage: Float[Array, "*batch"],
+    active: Bool[Array, "*batch"] | None = None,
+    floor: float = 0.0,
+) -> Float[Array, "*batch"]:
+    """Shift and scale by mean and population standard deviation over all axes.
+
+    Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs, and takes
+    both from the agents that are `active`. Advantages that deviate by less than `floor` are divided
+    by `floor`, and so stay small.
+    """
+    deviation = advantage - masked_mean(advantage, active)
+    scale = jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5
+    return deviation / jnp.maximum(scale, floor)

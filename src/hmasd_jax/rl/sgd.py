@@ -1,0 +1,146 @@
+"""Optimization: one gradient step, and epochs of shuffled minibatches."""
+
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import optax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from hmasd_jax.rl import value_norm
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.rl.value_norm import ValueNorm
+from hmasd_jax.types import Key, Learner, Metrics
+
+Carry = TypeVar("Carry")
+Batch = TypeVar("Batch")
+LossFn = Callable[..., tuple[Float[Array, ""], Metrics]]
+
+
+def make_optimizer(
+    config: PPOConfig, networks: Sequence[str], steps_per_update: int | None = None
+) -> optax.GradientTransformation:
+    """Adam after clipping each network's gradient by its own norm.
+
+    Args:
+        config: learning rate, Adam's epsilon and the norm to clip at.
+        networks: top-level names in the parameters; each is clipped apart from the others.
+        steps_per_update: gradient steps per rollout, for the schedule; those of PPO if None.
+    """
+    step_size: optax.ScalarOrSchedule = config.learning_rate
+    if config.decay_updates:
+        per_update = steps_per_update or config.num_epochs * config.num_minibatches
+        step_size = optax.linear_schedule(
+            config.learning_rate, 0.0, config.decay_updates * per_update
+        )
+    # Each network's parameters as one vector: a quarter less for XLA to compile and to launch.
+    each = optax.flatten(
+        optax.chain(
+            clip_by_norm(config.max_grad_norm),
+            optax.adam(step_size, eps=config.adam_epsilon),
+        )
+    )
+    transforms: dict[Hashable, optax.GradientTransformation] = dict.fromkeys(networks, each)
+    return optax.partition(transforms, {name: name for name in networks})
+
+
+def clip_by_norm(max_norm: float) -> optax.GradientTransformation:
+    """Optax's `clip_by_global_norm` for a vector, with its norm as a product.
+
+    XLA splits a sum into several programs on a CPU, which take longer to compile.
+    """
+
+    def clip(gradient, _params):
+        norm = vector_norm(gradient)
+        return jnp.where(norm < max_norm, gradient, gradient / norm * max_norm)
+
+    return optax.stateless(clip)
+
+
+def vector_norm(x: Float[Array, " size"]) -> Float[Array, ""]:
+    """Euclidean norm."""
+    return jnp.sqrt(jnp.vdot(x, x, precision="highest"))
+
+
+def gradient_step(
+    learner: Learner, optimizer: optax.GradientTransformation, loss_fn: LossFn, *args: Any
+) -> tuple[Learner, Metrics]:
+    """One step down the gradient of `loss_fn(params, *args) -> (loss, metrics)`."""
+    grads, metrics = jax.grad(loss_fn, has_aux=True)(learner.params, *args)
+    updates, opt_state = optimizer.update(grads, learner.opt_state, learner.params)
+    norms = [vector_norm(ravel_pytree(grad)[0]) for grad in grads.values()]
+    metrics = metrics | {"grad_norm": vector_norm(jnp.stack(norms))}
+    return Learner(optax.apply_updates(learner.params, updates), opt_state), metrics
+
+
+def sgd_epochs(
+    step: Callable[[Carry, Batch], tuple[Carry, Metrics]],
+    carry: Carry,
+    batch: Batch,
+    key: Key,
+    num_epochs: int,
+    num_minibatches: int,
+) -> tuple[Carry, Metrics]:
+    """Run `step` on every minibatch, `num_epochs` times over.
+
+    Args:
+        step: `(carry, minibatch) -> (carry, metrics)`.
+        carry: what learns, e.g. a `Learner`.
+        batch: arrays with samples on their first axis, a multiple of `num_minibatches`.
+        key: shuffles the samples anew in each epoch (with one minibatch, order has no effect
+            on a mean, so nothing is shuffled).
+        num_epochs: passes over the batch.
+        num_minibatches: steps per pass.
+
+    Returns:
+        The final carry, and the metrics averaged over all steps.
+    """
+    size = jax.tree.leaves(batch)[0].shape[0]
+
+    def shuffle(key: Key) -> Batch:
+        order = jax.random.permutation(key, size).reshape(num_minibatches, -1)
+        return jax.tree.map(lambda x: x[order], batch)
+
+    def epoch(carry: Carry, key: Key) -> tuple[Carry, Metrics]:
+        if num_minibatches == 1:
+            return step(carry, batch)
+        carry, metrics = jax.lax.scan(step, carry, shuffle(key))
+        return carry, jax.tree.map(jnp.mean, metrics)
+
+    carry, metrics = jax.lax.scan(epoch, carry, jax.random.split(key, num_epochs))
+    return carry, jax.tree.map(jnp.mean, metrics)
+
+
+def ppo_epochs(
+    optimizer: optax.GradientTransformation,
+    loss_fn: LossFn,
+    learner: Learner,
+    norm: ValueNorm,
+    batch: Any,
+    key: Key,
+    config: PPOConfig,
+) -> tuple[Learner, ValueNorm, Metrics]:
+    """Epochs of PPO; each step first takes its targets into the value normalizer.
+
+    Args:
+        optimizer: of the learner.
+        loss_fn: `(params, norm, minibatch) -> (loss, metrics)`.
+        learner: actor and critic.
+        norm: of the critic's targets.
+        batch: arrays with samples on their first axis; `target` holds returns in reward units.
+        key: shuffles the samples.
+        config: number of epochs and of minibatches.
+    """
+
+    def step(carry, minibatch):
+        learner, norm = carry
+        norm = value_norm.update(norm, minibatch.target)
+        learner, metrics = gradient_step(learner, optimizer, loss_fn, norm, minibatch)
+        return (learner, norm), metrics
+
+    (learner, norm), metrics = sgd_epochs(
+        step, (learner, norm), batch, key, config.num_epochs, config.num_minibatches
+    )
+    return learner, norm, metrics

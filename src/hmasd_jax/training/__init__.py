@@ -1,0 +1,1 @@
+"""The host side of training: compiled programs, the loop around them, and processes."""

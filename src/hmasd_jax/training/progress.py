@@ -1,0 +1,163 @@
+"""What a run shows while it trains: live bars in a terminal, plain lines elsewhere."""
+
+import math
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn
+
+from hmasd_jax.training.loop import ENDS, Event
+
+SHOWN = {
+    "success": "success {:.0%}",
+    "coordinator/team_entropy": "H(Z) {:.2f}",
+    "coordinator/skill_entropy": "H(z) {:.2f}",
+    "discriminators/team_accuracy": "q_D {:.0%}",
+    "discriminators/individual_accuracy": "q_d {:.0%}",
+}
+"""Metrics that the display shows, where an algorithm has them. H: entropy in nats; q: how often
+a discriminator's first guess is right."""
+PLAIN_SECONDS = 30.0
+
+
+@dataclass
+class Track:
+    """Where one seed stands."""
+
+    env_steps: int = 0
+    first: tuple[int, float] | None = None
+    """Environment steps and wall seconds that this session began at."""
+    rate: float = 0.0
+    """Environment steps per second of this session, compilation excluded."""
+    train: dict[str, Any] = field(default_factory=dict)
+    eval: dict[str, Any] = field(default_factory=dict)
+    task: TaskID | None = None
+    ended: bool = False
+
+
+class Display:
+    """Turns events into a live display; a context manager."""
+
+    def __init__(self, console: Console, seeds: list[int], total_env_steps: int) -> None:
+        self._console, self._total = console, total_env_steps
+        self._tracks = {seed: Track() for seed in seeds}
+        self._last_line = time.monotonic()
+        self._live = console.is_terminal
+        self._compiled = False
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=20),
+            TextColumn("{task.percentage:>3.0f}%"),
+            TextColumn("{task.fields[text]}"),
+        )
+        self._progress = Progress(*columns, console=console, disable=not self._live)
+        self._all = self._progress.add_task("all", total=total_env_steps * len(seeds), text="")
+
+    def __enter__(self) -> "Display":
+        """Start drawing."""
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop drawing; the lines stay."""
+        self._progress.stop()
+
+    def handle(self, event: Event) -> None:
+        """Take in one event."""
+        track = self._tracks[event.seed]
+        if event.kind == "start":
+            self._start(event, track)
+        elif event.kind == "compiled":
+            self._tell_compilation(event)
+        elif event.kind in ("train", "eval"):
+            self._take_record(event, track)
+        elif event.kind in ENDS:
+            self._end(event, track)
+        self._draw(event.seed, track)
+
+    def _start(self, event: Event, track: Track) -> None:
+        track.env_steps = event.data["env_steps"]
+        if track.env_steps:
+            self._print(f"seed {event.seed}: resuming from env step {track.env_steps:,}")
+        else:
+            self._print(f"seed {event.seed}: fresh")
+        description = f"seed {event.seed}"
+        track.task = self._progress.add_task(description, total=self._total, text="compiling")
+
+    def _tell_compilation(self, event: Event) -> None:
+        if not self._compiled:
+            self._compiled = True
+            seconds, size = event.data["seconds"], event.data["memory_bytes"]
+            mebibytes = math.ceil(size / 2**20)
+            self._print(
+                f"compiled in {seconds:.0f} s; predicted memory {mebibytes:,} MiB per process, "
+                "beside jax and its compiler"
+            )
+
+    def _take_record(self, event: Event, track: Track) -> None:
+        record = event.data
+        track.env_steps = record["env_steps"]
+        now = (track.env_steps, record["wall_seconds"])
+        if track.first is None:
+            track.first = now
+        elif now[1] > track.first[1]:
+            track.rate = (now[0] - track.first[0]) / (now[1] - track.first[1])
+        if event.kind == "eval":
+            track.eval = record
+        else:
+            track.train = record
+        due = time.monotonic() - self._last_line > PLAIN_SECONDS
+        if not self._live and (event.kind == "eval" or due):
+            self._last_line = time.monotonic()
+            text = f"seed {event.seed}: {track.env_steps:,} env steps, {self._describe(track)}"
+            self._print(f"{text}; all seeds {self._describe_all()}")
+
+    def _end(self, event: Event, track: Track) -> None:
+        track.ended = True
+        message = event.data.get("message")
+        text = f": {message}" if message else f" at env step {track.env_steps:,}"
+        self._print(f"seed {event.seed} {event.kind}{text}")
+        if track.task is not None:
+            self._progress.update(track.task, visible=False)
+
+    def _draw(self, seed: int, track: Track) -> None:
+        done = sum(self._total if t.ended else t.env_steps for t in self._tracks.values())
+        self._progress.update(self._all, completed=done, text=self._describe_all())
+        if track.task is not None and track.first is not None:
+            text = self._describe(track)
+            self._progress.update(track.task, completed=track.env_steps, text=text)
+
+    def _describe(self, track: Track) -> str:
+        """Speed, remaining time and metrics of one seed."""
+        parts = []
+        if track.rate:
+            remaining = (self._total - track.env_steps) / track.rate
+            parts += [f"{track.rate:,.0f}/s", f"ETA {clock(remaining)}"]
+        parts += [
+            text.format(track.train[name]) for name, text in SHOWN.items() if name in track.train
+        ]
+        if "success" in track.eval:
+            parts.append(f"eval {track.eval['success']:.0%}")
+        elif "return" in track.eval:
+            parts.append(f"eval return {track.eval['return']:.2f}")
+        return "  ".join(parts)
+
+    def _describe_all(self) -> str:
+        """Speed and remaining time of everything."""
+        running = [t for t in self._tracks.values() if not t.ended]
+        rate = sum(t.rate for t in running)
+        if not rate:
+            return ""
+        remaining = sum(self._total - t.env_steps for t in running) / rate
+        return f"{rate:,.0f} env steps/s  ETA {clock(remaining)}"
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def clock(seconds: float) -> str:
+    """Hours, minutes and seconds as h:mm:ss."""
+    minutes, seconds = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"

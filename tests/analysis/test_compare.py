@@ -1,0 +1,56 @@
+"""`compare`: scores at the same env steps, known statistics, and one task only."""
+
+import numpy as np
+import pytest
+
+from hmasd_jax.analysis.compare import compare_runs
+from hmasd_jax.cli.main import main
+from hmasd_jax.runs.folder import RunError
+from tests.helpers.runs import write_run
+
+
+@pytest.fixture
+def runs(tmp_path):
+    good = write_run(tmp_path / "good", [[0.0, 0.5, 1.0, 1.0], [0.0, 0.5, 0.75]])
+    bad = write_run(tmp_path / "bad", [[0.0, 0.0, 0.5, 0.9], [0.0, 0.25, 0.25, 0.9]])
+    return [good, bad]
+
+
+def test_scores_are_taken_where_all_seeds_were_evaluated(runs):
+    comparison = compare_runs(runs, last=2)
+    assert comparison.env_steps == 200  # the second seed of `good` was evaluated no further
+    np.testing.assert_allclose(comparison.scores, [[0.75, 0.625], [0.25, 0.25]])
+    assert comparison.labels == ["good (2 seeds)", "bad (2 seeds)"]
+
+
+def test_prints_statistics_and_draws(runs, tmp_path, capsys):
+    out = tmp_path / "plots" / "comparison.png"
+    words = ["compare", *map(str, runs), "--out", str(out), "--last", "1", "--solved-at", "0.7"]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    # At 200: 1 and 0.75 against 0.5 and 0.25. Every seed of the first is better than any of the
+    # second, in whatever bootstrap sample; two of two seeds are above 0.7, and none.
+    assert "0.875 [0.750, 1.000]" in text
+    assert "0.375 [0.250, 0.500]" in text
+    assert "1.000 [0.342, 1.000]" in text
+    assert "0.000 [0.000, 0.658]" in text
+    assert "1.000 [1.000, 1.000]" in text
+    assert text.splitlines()[-1] == str(out)
+    assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_one_run_alone_has_no_pairs(runs, tmp_path, capsys):
+    assert main(["compare", str(runs[1]), "--out", str(tmp_path / "x.png")]) == 2
+    assert "have 4 evaluations of success in common" in capsys.readouterr().err
+    assert main(["compare", str(runs[1]), "--last", "4", "--out", str(tmp_path / "x.png")]) == 0
+    assert "Probability" not in capsys.readouterr().out
+
+
+def test_refuses_what_cannot_be_compared(runs, tmp_path):
+    other = write_run(tmp_path / "other", [[0.0]], **{"env.max_steps": 50})
+    with pytest.raises(RunError, match=r"other is on another task than .*good: .*'max_steps': 50"):
+        compare_runs([runs[0], other])
+    with pytest.raises(RunError, match="no evaluation of reward yet: there are length, success"):
+        compare_runs(runs, metric="reward")
+    with pytest.raises(RunError, match="is not a run folder"):
+        compare_runs([tmp_path])

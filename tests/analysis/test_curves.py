@@ -1,0 +1,117 @@
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from envs_jax import MissingPackageError
+from hmasd_jax.analysis import curves as plot
+from hmasd_jax.runs.folder import RunError
+from tests.helpers.runs import write_run
+
+
+@pytest.fixture
+def run(tmp_path):
+    return write_run(tmp_path / "run", [[0.0, 0.5, 0.75, 1.0], [0.0, 0.25, 0.5]])
+
+
+def is_png(path: Path) -> bool:
+    return path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_draws_runs(run, tmp_path):
+    other = write_run(tmp_path / "other", [[0.1, 0.2]])
+    out = tmp_path / "plots" / "curves.png"
+    assert plot.plot_runs([run, other], out) == out
+    assert is_png(out)
+    assert is_png(plot.plot_runs([run], tmp_path / "length.png", metric="length"))
+
+
+def test_reads_whole_curves_and_their_common_steps(run):
+    curves = plot.read_curves(run, "eval", "success")
+    assert [len(steps) for steps, _ in curves] == [4, 3]
+    steps, values = plot.common_steps(curves)
+    np.testing.assert_array_equal(steps, [0, 100, 200])
+    np.testing.assert_array_equal(values, [[0.0, 0.5, 0.75], [0.0, 0.25, 0.5]])
+
+
+def test_common_steps_of_seeds_without_any():
+    steps, values = plot.common_steps(
+        [(np.array([0.0]), np.ones(1)), (np.array([1.0]), np.ones(1))]
+    )
+    assert (steps.shape, values.shape) == ((0,), (2, 0))
+
+
+def test_a_line_cut_short_by_a_kill_is_left_out(run):
+    path = run / "seed_1" / "metrics.jsonl"
+    path.write_text(path.read_text()[:-10])
+    assert len(plot.read_curves(run, "train", "discriminators/team_accuracy")[1][0]) == 2
+
+
+def test_mean_and_band(run):
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    curves = [(np.arange(2.0), np.array([0.0, 1.0])), (np.arange(2.0), np.array([0.5, 1.0]))]
+    plot.draw_curves(axes, curves, "name", "#000000")
+    *seeds, mean = axes.lines
+    assert len(seeds) == 2
+    np.testing.assert_array_equal(mean.get_ydata(), [0.25, 1.0])
+    # Two seeds: means of two draws from {0, 1/2} reach from 0 to 1/2 in 95 % of samples.
+    corners = axes.collections[0].get_paths()[0].vertices
+    assert (corners[:, 1].min(), corners[:, 1].max()) == (0.0, 1.0)
+    assert {y for x, y in corners.tolist() if x == 0.0} == {0.0, 0.5}
+
+
+@pytest.mark.parametrize(
+    ("metric", "scale", "label"),
+    [("success", 1, "  its final 74% ± 26% (std)"), ("return", 100, "  its final 74 ± 26 (std)")],
+)
+def test_draws_a_result_beside_another(tmp_path, monkeypatch, metric, scale, label):
+    drawn = []
+    monkeypatch.setattr(plot, "save", lambda figure, out: drawn.append(figure) or out)
+    values = (scale * np.array([[0.0, 0.5, 1.0], [0.1, 0.6, 0.9]])).tolist()
+    result = tmp_path / "hmasd.json"
+    record = {"metric": metric, "env_steps": [0, 10, 20], "values": values}
+    result.write_text(json.dumps(record))
+    final = 0.74 * scale, 0.26 * scale
+    other = plot.Reference("paper", (5, 15), (0.2 * scale, 0.7 * scale), final)
+    plot.plot_result(result, tmp_path / "result.png", other)
+    result.write_text(json.dumps(record | {"values": values[:1]}))
+    plot.plot_result(result, tmp_path / "alone.png")
+    legends = [figure.axes[0].get_legend_handles_labels()[1] for figure in drawn]
+    assert legends == [["hmasd (2 seeds)", "paper", label], ["hmasd (1 seed)"]]
+
+
+def test_labels_are_algorithms_only_if_they_differ(tmp_path):
+    tables = [{"algorithm": {"name": name}} for name in ("hmasd", "mappo")]
+    runs = [tmp_path / "a", tmp_path / "b"]
+    for folder in runs:
+        (folder / "seed_0").mkdir(parents=True)
+    assert plot.labels_of(runs, tables) == ["hmasd (1 seed)", "mappo (1 seed)"]
+    assert plot.labels_of(runs, [tables[0]] * 2) == ["a (1 seed)", "b (1 seed)"]
+
+
+def test_errors_are_one_line(run, tmp_path):
+    out = tmp_path / "x.png"
+    with pytest.raises(RunError, match=r"no evaluation of reward yet: there are length, success"):
+        plot.plot_runs([run], out, metric="reward")
+    with pytest.raises(RunError, match="is not a run folder"):
+        plot.plot_runs([tmp_path], out)
+    empty = write_run(tmp_path / "empty", [])
+    with pytest.raises(RunError, match="wait for its first one"):
+        plot.plot_runs([empty], out)
+    assert not out.exists()
+    with pytest.raises(RunError, match=r"cannot write .*x.strange: Format 'strange' is not supp"):
+        plot.plot_runs([run], tmp_path / "x.strange")
+
+
+def test_missing_package_names_the_command(run, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ImportError) as error:
+        plot.plot_runs([run], tmp_path / "x.png")
+    assert str(error.value) == (
+        "plotting needs the package matplotlib: pip install 'hmasd-jax[plots]'"
+    )
+    assert isinstance(error.value, MissingPackageError)

@@ -1,0 +1,87 @@
+"""`grid`: a sweep per value of a setting, each in a run folder of its own."""
+
+import pytest
+
+from hmasd_jax.cli import train_commands as experiment
+from hmasd_jax.cli.main import main
+from hmasd_jax.cli.options import drop_options
+
+WORDS = ["grid", "--num-seeds", "2", "--vary", "algorithm.skill-interval=25,50"]
+
+
+@pytest.fixture
+def sweeps(monkeypatch):
+    """What would have been trained; every sweep returns the next of `codes`."""
+    begun, codes = [], []
+
+    def pretend(command, config, options, words, seeds):
+        begun.append((command, config, options, words, seeds))
+        return codes.pop(0) if codes else 0
+
+    monkeypatch.setattr(experiment, "_experiment", pretend)
+    return begun, codes
+
+
+def test_a_sweep_per_value(sweeps, tmp_path):
+    begun, _ = sweeps
+    assert main([*WORDS, "--run-dir", str(tmp_path / "k")]) == 0
+    assert [config.algorithm.skill_interval for _, config, *_ in begun] == [25, 50]
+    for value, (command, config, options, words, seeds) in zip((25, 50), begun):
+        folder = tmp_path / "k" / f"skill_interval_{value}"
+        assert options.run_dir == folder
+        assert not options.resume
+        assert seeds == [0, 1]
+        assert config.num_seeds == 2
+        # The command that makes this folder alone.
+        assert [command, *words] == [
+            "seed_sweep", "--num-seeds", "2", "--algorithm.skill_interval", str(value),
+            "--run-dir", str(folder),
+        ]  # fmt: skip
+
+
+def test_resume_continues_what_was_begun_and_begins_the_rest(sweeps, tmp_path, capsys):
+    begun, _ = sweeps
+    (tmp_path / "skill_interval_50").mkdir()
+    words = [*WORDS, "--run-dir", str(tmp_path)]
+    assert main(words) == 2
+    assert "skill_interval_50 exists: continue with --resume" in capsys.readouterr().err
+    assert not begun
+    assert main([*words, "--resume"]) == 0
+    assert [options.resume for _, _, options, *_ in begun] == [False, True]
+
+
+def test_a_failed_sweep_does_not_keep_the_others_from_running(sweeps, tmp_path):
+    begun, codes = sweeps
+    codes += [experiment.FAILED, 0]
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == experiment.FAILED
+    assert len(begun) == 2
+
+
+def test_an_interrupt_ends_all(sweeps, tmp_path):
+    begun, codes = sweeps
+    codes += [experiment.INTERRUPTED]
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == experiment.INTERRUPTED
+    assert len(begun) == 1
+
+
+@pytest.mark.parametrize(
+    ("vary", "message"),
+    [
+        (None, "--vary must name a setting and its values"),
+        ("algorithm.skill_interval", "--vary must name a setting and its values"),
+        ("algorithm.skill_interval=25,", "--vary must name a setting and its values"),
+        ("algorithm.skill_interval=25,25", "each once"),
+        ("algorithm.skil_interval=25", "did you mean skill_interval?"),
+        ("algorithm.skill_interval=25,30", "skill_interval 30"),
+    ],
+)
+def test_no_sweep_begins_unless_all_can(sweeps, tmp_path, capsys, vary, message):
+    words = ["grid", "--run-dir", str(tmp_path)] + (["--vary", vary] if vary else [])
+    assert main(words) == 2
+    assert message in capsys.readouterr().err
+    assert not sweeps[0]
+
+
+def test_drops_options_with_their_values():
+    words = ["--a", "1", "--run_dir=x", "--resume", "--vary", "b=1,2", "--b.c-d", "2"]
+    assert drop_options(words, "vary", "run-dir", "resume") == ["--a", "1", "--b.c-d", "2"]

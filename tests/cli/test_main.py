@@ -1,0 +1,168 @@
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+
+from hmasd_jax import config
+from hmasd_jax.cli import options as arguments
+from hmasd_jax.cli.main import COMMANDS, main
+from hmasd_jax.config import ConfigError
+from hmasd_jax.config.from_table import Flag, Text
+
+
+def run(*words):
+    return subprocess.run(
+        [sys.executable, "-m", "hmasd_jax.train", *words], capture_output=True, text=True
+    )
+
+
+def test_words_become_options_and_overrides():
+    words = ["--config", "a.toml", "--resume", "--env.max-steps=3", "--seed", "-4", "--x.flag"]
+    options, overrides = arguments.parse(arguments.SweepOptions, words)
+    assert str(options.config) == "a.toml"
+    assert options.resume
+    assert not options.wandb
+    assert overrides == {"env.max_steps": "3", "seed": "-4", "x.flag": "true"}
+    assert [type(v) for v in overrides.values()] == [Text, Text, Flag]
+
+
+@pytest.mark.parametrize(
+    ("words", "indices"), [(["9", "10"], (9, 10)), (["9"], (9,)), (["[9, 10]"], (9, 10))]
+)
+def test_a_list_is_typed_as_words_or_as_in_toml(words, indices):
+    name = "--algorithm.discriminator-obs"
+    _, overrides = arguments.parse(arguments.TrainOptions, [name, *words, "--seed", "3"])
+    loaded = config.load(None, overrides)
+    assert loaded.algorithm.discriminator_obs == indices
+    assert loaded.seed == 3
+
+
+def test_runs_of_plot_need_no_name():
+    words = ["a", "b", "--out", "c.png"]
+    options, _ = arguments.parse(arguments.PlotOptions, words, "runs")
+    assert list(map(str, options.runs)) == ["a", "b"]
+    with pytest.raises(ConfigError, match="unexpected 'b': a is given already"):
+        arguments.parse(arguments.EvaluateOptions, ["a", "b"], "run")
+
+
+MISTAKES = [
+    (["trian"], "unknown command 'trian' (did you mean train?)"),
+    (["train", "x"], "unexpected 'x': settings are written --name value"),
+    (["train", "--run-dir", "a", "b"], "unexpected 'b': settings are written --name value"),
+    (["train", "--seed"], "seed needs a value"),
+    (["train", "--seed", "x"], "seed must be a whole number, got 'x'"),
+    (["train", "--seed-index", "-1"], "seed_index must be at least 0, got -1"),
+    (["train", "--algorithm.skil-interval", "5"], "(did you mean skill_interval?)"),
+    (["train", "--config", "none.toml"], "cannot read config file none.toml"),
+    (["train", "--resume", "--run-dir", "nope"], "nope is not a run folder"),
+    (["train", "--algorithm.discriminator-obs", "x"], "must be a whole number, got 'x'"),
+    (["train", "--seed", "1", "2"], "seed must be a whole number, got [1, 2]"),
+    (["train", "--algorithm.discriminator-obs", "[9, 9]"], "indices from 0, each once, got [9, 9]"),
+    (["train", "--algorithm.discriminator-obs", "[11]"], "index 11, but obs has 11 features"),
+    (
+        ["grid", "--vary", "algorithm.discriminator-obs=[1],[11]"],
+        "index 11, but obs has 11 features",
+    ),
+    (["seed_sweep", "--resume"], "--resume needs --run-dir"),
+    (["seed_sweep", "--num-seeds", "0"], "num_seeds must be at least 1, got 0"),
+    (["seed_sweep", "--seed-index", "3"], "unknown key seed_index"),
+    (["evaluate"], "run is missing"),
+    (["evaluate", "none"], "none is not a run folder"),
+    (["evaluate", "none", "--episodes", "0"], "episodes must be at least 1, got 0"),
+    (["evaluate", "none", "--epsodes", "5"], "unknown option --epsodes (did you mean episodes?)"),
+    (["render", "none"], "out is missing"),
+    (["plot"], "runs is missing"),
+    (["plot", "none"], "none is not a run folder"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), MISTAKES, ids=lambda x: " ".join(x)[:40])
+def test_a_mistake_is_one_line_and_leaves_nothing_behind(
+    words, message, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("error: ")
+    assert message in output.err
+    assert output.err.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("extra", ["tensorboard", "wandb"])
+def test_a_missing_optional_package_is_told_before_anything_starts(
+    extra, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert main(["train", f"--{extra}"]) == 2
+    assert f"pip install 'hmasd-jax[{extra}]'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_help_explains_every_field(capsys):
+    assert main(["seed_sweep", "--help", "--env.observation", "one_hot", "--seed", "7"]) == 0
+    text = capsys.readouterr().out
+    for name in ("--config", "--run-dir", "--resume", "--num-seeds", "--layout", "--env.max-steps"):
+        assert name in text
+    for name in ("--algorithm.skill-interval", "--algorithm.ppo.learning-rate"):
+        assert name in text
+    words = " ".join(re.sub(r"[│\n]", " ", text).split())
+    assert "k, environment steps between two skill assignments" in words
+    assert "(default: one_hot)" in words
+    assert "(default: 7)" in words
+
+
+def test_help_explains_by_its_name_what_may_be_an_object(capsys):
+    assert (
+        main(["train", "--help", "--env.name", "micro_battle", "--env.scenario", "2m_vs_1z"]) == 0
+    )
+    text = capsys.readouterr().out
+    assert "--env.scenario NAME" in text
+    assert "(default: 2m_vs_1z)" in " ".join(re.sub(r"[│\n]", " ", text).split())
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_has_help(command, capsys):
+    assert main([command, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert COMMANDS[command].summary.split()[0] in text
+    assert f"hmasd_jax.train {command}" in text
+
+
+def test_without_a_command_the_commands_are_listed(capsys):
+    assert main([]) == 2
+    assert main(["--help"]) == 0
+    text = capsys.readouterr().out
+    assert all(text.count(f"  {name} ") == 2 for name in COMMANDS)
+
+
+def test_mistakes_and_help_come_before_the_slow_imports():
+    """distrax alone takes seconds to import; jax must not have started a device."""
+    code = (
+        "import sys; from hmasd_jax.train import main; rc = main(sys.argv[1:]); "
+        "slow = {'distrax', 'orbax', 'matplotlib'} & set(sys.modules); "
+        "sys.exit(f'{rc} {slow}')"
+    )
+    for words, rc in ((["train", "--help"], 0), (["train", "--num-seeds", "x"], 2)):
+        done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
+        assert done.stderr.splitlines()[-1] == f"{rc} set()"
+
+
+def test_exit_code_of_the_process():
+    done = run("train", "--seed", "x")
+    assert done.returncode == 2
+    assert done.stderr == "error: seed must be a whole number, got 'x'\n"
+
+
+def test_a_reader_of_the_help_may_leave_early():
+    read, write = os.pipe()
+    os.close(read)
+    command = [sys.executable, "-m", "hmasd_jax.train", "train", "--help"]
+    done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert (done.returncode, done.stderr) == (0, "")

@@ -1,0 +1,184 @@
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+
+from envs_jax.registry import ENVIRONMENTS
+from hmasd_jax import config as configs
+from hmasd_jax.config import ConfigError, TrainConfig
+from hmasd_jax.config.from_table import Flag, Text
+from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.training.schedule import make_plan
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+def test_defaults_are_the_papers_preset():
+    """An installed package needs no file."""
+    assert configs.load(CONFIGS / "alice_and_bob/hmasd.toml") == TrainConfig() == configs.load()
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda p: p.stem)
+def test_every_shipped_config_loads_and_survives_json(path, tmp_path):
+    config = configs.load(path)
+    table = configs.to_json(config)
+    assert configs.from_json(table) == config
+    saved = tmp_path / "config.json"
+    saved.write_text(json.dumps(table))
+    assert configs.load(saved) == config
+    env, algorithm = configs.build(config)
+    assert env is config.env
+    assert callable(algorithm.update)
+
+
+@pytest.mark.parametrize("hmasd", sorted(CONFIGS.rglob("hmasd.toml")), ids=lambda p: p.parent.stem)
+@pytest.mark.parametrize("baseline", ["mappo", "mat"])
+def test_baselines_have_the_task_budget_and_optimization_of_hmasd(hmasd, baseline):
+    ours, theirs = (configs.to_json(configs.load(hmasd.with_stem(n))) for n in ("hmasd", baseline))
+    assert theirs["algorithm"]["name"] == baseline
+    if baseline == "mat":  # which has no memory
+        del ours["algorithm"]["ppo"]["sequence_length"]
+        del theirs["algorithm"]["ppo"]["sequence_length"]
+    assert theirs["algorithm"]["ppo"] == ours["algorithm"]["ppo"]
+    assert theirs | {"algorithm": None} == ours | {"algorithm": None}
+
+
+def test_overrides_win_over_the_file(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text("seed = 3\n[env]\nmax_steps = 7\n[algorithm.ppo]\nnum_envs = 8\n")
+    config = configs.load(path, {"algorithm.ppo.num_envs": 4, "env.observation": "one_hot"})
+    assert (config.seed, config.env.max_steps, config.env.observation) == (3, 7, "one_hot")
+    assert config.algorithm.ppo.num_envs == 4
+    assert config.algorithm.ppo.hidden_size == PPOConfig().hidden_size
+
+
+def test_another_environment_leaves_the_files_settings_of_its_own_behind(tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text('[env]\nname = "alice_and_bob"\nobservation = "one_hot"\n')
+    names = [n for n in ENVIRONMENTS if n != "alice_and_bob"]
+    config = configs.load(path, {"env.name": names[0]})
+    assert configs.to_json(config)["env"]["name"] == names[0]
+    assert configs.load(path, {"env.name": "alice_and_bob"}).env.observation == "one_hot"
+
+
+def test_words_are_read_as_their_fields_type():
+    config = configs.load(
+        None,
+        {
+            "total_env_steps": Text("3.2e4"),
+            "algorithm.ppo.discount": Text("1"),
+            "algorithm.zero_reward_guard": Flag("true"),
+            "algorithm.skill_prior": Text("False"),
+            "env.observation": Text("one_hot"),
+        },
+    )
+    assert config.total_env_steps == 32_000
+    assert type(config.total_env_steps) is int
+    assert type(config.algorithm.ppo.discount) is float
+    assert config.algorithm.zero_reward_guard is True
+    assert config.algorithm.skill_prior is False
+    assert config.env.observation == "one_hot"
+
+
+MISTAKES = [
+    ({"algorithm.skil_interval": 3}, "unknown key algorithm.skil_interval (did you mean skill_in"),
+    ({"algorithm.ppo.num_env": 3}, "unknown key algorithm.ppo.num_env (did you mean num_envs?)"),
+    ({"foo": 3}, "unknown key foo (known: env, algorithm, total_env_steps"),
+    ({"env.name": "alice"}, "unknown env.name 'alice' (did you mean alice_and_bob?)"),
+    ({"algorithm.name": "hamsd"}, "unknown algorithm.name 'hamsd' (did you mean hmasd?)"),
+    ({"seed.x": 3}, "seed must be a whole number"),
+    ({"env": 3}, "env must be a table"),
+    ({"algorithm.ppo": 3}, "algorithm.ppo must be a table"),
+    ({"seed": "3"}, "seed must be a whole number, got '3'"),
+    ({"algorithm.discriminator_obs": 9}, "must be a list such as [0, 1], got 9"),
+    ({"seed": 2.5}, "seed must be a whole number, got 2.5"),
+    ({"seed": True}, "seed must be a whole number, got True"),
+    ({"seed": Flag("true")}, "seed needs a value"),
+    ({"seed": -1}, "seed must be between 0 and 4294967295, got -1"),
+    ({"num_seeds": 0}, "num_seeds must be at least 1, got 0"),
+    ({"eval_interval": 0}, "eval_interval must be at least 1, got 0"),
+    ({"eval_interval": Text("nan")}, "eval_interval must be a whole number, got nan"),
+    (
+        {"layout": "wokers"},
+        "layout must be one of auto, workers, vmap, map, sharded; got 'wokers' (did you",
+    ),
+    ({"env.observation": "onehot"}, "env.observation must be one of codes, one_hot; got 'onehot'"),
+    ({"env.max_steps": 0}, "env.max_steps must be at least 1, got 0"),
+    ({"total_env_steps": 3199}, "total_env_steps 3199 is less than one update takes (3200 ="),
+    ({"algorithm.zero_reward_guard": "no"}, "algorithm.zero_reward_guard must be true or false"),
+    ({"algorithm.skill_interval": 30}, "algorithm.ppo.rollout_length 100 is not a multiple of"),
+    ({"algorithm.num_heads": 3}, "algorithm.num_heads 3 does not divide ppo.hidden_size = 64"),
+    ({"algorithm.num_skills": 0}, "algorithm.num_skills must be at least 1, got 0"),
+    ({"algorithm.ppo.num_minibatches": 5}, "algorithm.ppo.num_minibatches 5 does not divide"),
+    ({"algorithm.ppo.sequence_length": 7}, "algorithm.ppo.rollout_length 100 is not a multiple"),
+    ({"algorithm.ppo.discount": 1.1}, "algorithm.ppo.discount must be between 0 and 1, got 1.1"),
+    (
+        {"algorithm.ppo.learning_rate": float("nan")},
+        "algorithm.ppo.learning_rate must be finite, got nan",
+    ),
+    ({"algorithm.ppo.learning_rate": -1}, "algorithm.ppo.learning_rate must be at least 0, got -1"),
+    (
+        {"algorithm.ppo.learning_rate": float("inf")},
+        "algorithm.ppo.learning_rate must be finite, got inf",
+    ),
+]
+
+
+@pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])
+def test_a_mistake_is_one_line_that_names_the_field(overrides, message):
+    with pytest.raises(ConfigError) as error:
+        configs.load(None, overrides)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("a.toml", "seed = = 3", "a.toml is not valid TOML: Invalid value (at line 1, column 8)"),
+        ("a.json", "{", "a.json is not valid JSON: "),
+        ("a.toml", "[algorithm]\nname = 3", "unknown algorithm.name '3'"),
+        ("a.toml", "env = 3", "env must be a table"),
+    ],
+)
+def test_a_bad_file_is_named(tmp_path, name, text, message):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"^[^\n]*$") as error:
+        configs.load(path)
+    assert message in str(error.value)
+    with pytest.raises(ConfigError, match=r"cannot read config file .*none.toml: No such file"):
+        configs.load(tmp_path / "none.toml")
+
+
+def test_settings_check_themselves_without_a_file():
+    with pytest.raises(ValueError, match="num_envs must be at least 1, got 0"):
+        PPOConfig(num_envs=0)
+    with pytest.raises(ValueError, match="skill_interval"):
+        HMASDConfig(skill_interval=30)
+    with pytest.raises(ValueError, match="num_minibatches 4 does not divide"):
+        # 2 copies x 100 steps give 40 sequences but only 2 x 100 / 100 segments
+        HMASDConfig(skill_interval=100, ppo=PPOConfig(num_envs=2, num_minibatches=4))
+
+
+def test_plan_of_the_paper():
+    # 32 x 100 = 3200 steps per update; 3e6 / 3200 = 937.5; every 80,000 / 3200 = 25 updates
+    plan = make_plan(TrainConfig())
+    assert (plan.num_updates, plan.env_steps) == (937, 2_998_400)
+    assert (plan.log_every, plan.eval_every, plan.checkpoint_every) == (5, 25, 25)
+    # at 0, 25, .., 925 and 937
+    assert plan.num_evaluations == 1 + 37 + 1
+
+
+def test_metrics_are_logged_at_every_stop():
+    """Whatever the intervals, evaluations and checkpoints fall where a stretch of metrics ends."""
+    base = TrainConfig()
+    for eval_interval, log_interval in ((80_000, 30_000), (70_000, 16_000), (1, 10**9)):
+        config = dataclasses.replace(base, eval_interval=eval_interval, log_interval=log_interval)
+        plan = make_plan(config)
+        assert plan.eval_every % plan.log_every == 0
+        assert plan.checkpoint_every % plan.log_every == 0
+    assert plan.next_stop(0) == plan.log_every
+    assert plan.next_stop(plan.num_updates - 1) == plan.num_updates

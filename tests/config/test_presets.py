@@ -1,0 +1,63 @@
+"""What the shipped presets say of themselves, and what indices in them stand for."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from envs_jax.micro_battle.observations import FIRST_ATTACK
+from hmasd_jax import config as configs
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+EAST = 4
+
+
+def settings(path: Path) -> set[tuple]:
+    """All settings of a configuration, each with its value."""
+    config = dataclasses.asdict(configs.load(path))
+    leaves, _ = jax.tree.flatten_with_path(config, is_leaf=lambda x: not isinstance(x, dict))
+    return {(path[-1].key, value) for path, value in leaves}
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/hmasd_robust.toml")), ids=lambda path: path.parent.name
+)
+def test_robust_presets_mark_what_differs_from_the_papers(path):
+    changed = settings(path) - settings(path.with_name("hmasd.toml"))
+    marked = re.findall(r"^(\w+) = .*  # not ", path.read_text(), re.MULTILINE)
+    assert marked
+    assert sorted(marked) == sorted(name for name, _ in changed)
+
+
+@pytest.mark.parametrize("name", ["hmasd_robust", "quick"])
+def test_q_d_of_alice_and_bob_sees_row_and_column(name):
+    config = configs.load(CONFIGS / f"alice_and_bob/{name}.toml")
+    state, timestep = config.env.reset(jax.random.key(0))
+    seen = timestep.obs[:, jnp.array(config.algorithm.discriminator_obs)]
+    np.testing.assert_array_equal(seen, state.position)
+
+
+@pytest.mark.parametrize("scenario", ["3m", "2m_vs_1z"])
+def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
+    """Agents walk east until an enemy of their own, if there are enough, is in reach, and shoot."""
+    config = configs.load(CONFIGS / f"micro_battle/{scenario}/hmasd_robust.toml")
+    env, indices = config.env, jnp.array(config.algorithm.discriminator_obs)
+    enemies = env.num_actions - FIRST_ATTACK
+    target = jnp.arange(env.num_agents) % enemies
+    step = jax.jit(env.step)
+    state, timestep = env.reset(jax.random.key(0))
+    seen = set()
+    for _ in range(12):
+        in_reach = timestep.action_mask[:, FIRST_ATTACK:]
+        shoots = jnp.take_along_axis(in_reach, target[:, None], 1)
+        action = jnp.where(shoots[:, 0], FIRST_ATTACK + target, EAST)
+        state, timestep = step(jax.random.key(1), state, action)
+        alive = ~timestep.action_mask[:, 0]
+        shot_at = shoots & (target[:, None] == jnp.arange(enemies))
+        np.testing.assert_array_equal(timestep.obs[alive][:, indices], shot_at[alive])
+        seen |= set(np.flatnonzero(shot_at[alive].any(0)))
+    assert seen == set(range(enemies))

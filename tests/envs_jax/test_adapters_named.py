@@ -1,0 +1,65 @@
+"""JaxMARL's environments by name, and what is said where its package is missing."""
+
+import sys
+
+import pytest
+
+import envs_jax
+from envs_jax import MissingPackageError
+from envs_jax.adapters.jaxmarl_named import _parse
+from envs_jax.alice_and_bob import AliceAndBob
+from hmasd_jax import config as configs
+from hmasd_jax.validation import ConfigError
+
+
+@pytest.fixture
+def absent(monkeypatch):
+    for package in ("jaxmarl", "pettingzoo"):
+        monkeypatch.setitem(sys.modules, package, None)
+
+
+def test_options_are_read_as_values():
+    assert _parse("") == {}
+    assert _parse("layout=coord_ring") == {"layout": "coord_ring"}
+    text = "max_steps = 50, local_ratio=0.5,walls_cause_death=false , action_type=Discrete"
+    expected = {
+        "max_steps": 50,
+        "local_ratio": 0.5,
+        "walls_cause_death": False,
+        "action_type": "Discrete",
+    }
+    assert _parse(text) == expected
+    for wrong in ("layout", "=3", "layout=", "a=1, b"):
+        with pytest.raises(ValueError, match=r'options must be written "name=value, name=value"'):
+            _parse(wrong)
+
+
+@pytest.mark.usefixtures("absent")
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (
+            lambda: envs_jax.make("jaxmarl", id="never_made"),
+            "id never_made needs the package jaxmarl: pip install 'hmasd-jax[compare]'",
+        ),
+        (
+            lambda: envs_jax.to_jaxmarl(AliceAndBob()),
+            "to_jaxmarl needs the package jaxmarl: pip install 'hmasd-jax[compare]'",
+        ),
+        (
+            lambda: envs_jax.to_pettingzoo(AliceAndBob()),
+            "to_pettingzoo needs the package pettingzoo: pip install 'hmasd-jax[pettingzoo]'",
+        ),
+    ],
+)
+def test_a_missing_package_is_named_with_its_remedy(call, message):
+    with pytest.raises(MissingPackageError) as error:
+        call()
+    assert str(error.value) == message
+
+
+@pytest.mark.usefixtures("absent")
+def test_a_configuration_tells_it_like_any_other_mistake():
+    with pytest.raises(ConfigError) as error:
+        configs.load(None, {"env.name": "jaxmarl", "env.id": "never_made"})
+    assert str(error.value).startswith("env.id never_made needs the package jaxmarl: pip install")

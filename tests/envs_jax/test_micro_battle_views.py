@@ -1,0 +1,190 @@
+"""What agents of micro_battle see and may do, by hand, and scenarios that make no sense."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import envs_jax
+from envs_jax.micro_battle.environment import MicroBattle
+from envs_jax.micro_battle.observations import action_mask
+from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario, Spawn
+
+ONE_HOT = np.eye(7).tolist()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "mappo", "smac", "actions", "limit"),
+    [
+        ("3m", (64, 75), (30, 48), 9, 60),
+        ("2s_vs_1sc", (37, 34), (17, 27), 7, 300),
+        ("2m_vs_1z", (36, 33), (16, 26), 7, 150),
+        ("5m_vs_6m", (124, 170), (55, 98), 12, 70),
+        ("2s3z", (144, 175), (80, 120), 11, 120),  # kinds of units are told apart here
+        ("3s_vs_5z", (88, 123), (48, 68), 11, 250),
+    ],
+)
+def test_sizes_are_smacs(scenario, mappo, smac, actions, limit):
+    for observation, sizes in (("mappo", mappo), ("smac", smac)):
+        env = MicroBattle(scenario, observation=observation)
+        assert (env.obs_dim, env.state_dim) == sizes
+        assert (env.num_actions, env.max_steps) == (actions, limit)
+        at_reset = jax.eval_shape(env.reset, jax.random.key(0))[1]
+        assert at_reset.obs.shape == (env.num_agents, sizes[0])
+        assert at_reset.state.shape == (sizes[1],)
+
+
+def seen(observation, **fields):
+    """Two marines and a zealot at (10, 10), (14, 13), (13, 14): agents' distances are 5 and 5."""
+    env = MicroBattle("2m_vs_1z", observation=observation)
+    state, _ = env.reset(jax.random.key(0))
+    values = {
+        "x": [10, 14, 13], "y": [10, 13, 14], "health": [30, 45, 50],
+        "shield": [0, 0, 25], "ready": [9, 0, 7], **fields,
+    }  # fmt: skip
+    units = state.units._replace(**{k: jnp.array(v, jnp.float32) for k, v in values.items()})
+    state = state._replace(units=units, last_action=jnp.array([6, 1]))
+    return env._timestep(state, jnp.bool(False))
+
+
+def test_the_wrappers_layout_by_hand():
+    timestep = seen("mappo")
+    near = np.sqrt(2) / 9
+    first = [1, 5 / 9, 4 / 9, 3 / 9, 1, *ONE_HOT[1]]  # the other marine
+    first += [1, 5 / 9, 3 / 9, 4 / 9, 0.5, 0.5]  # the zealot
+    first += [1, 1, 1, 1, 1, 0, 0, 0, 2 / 3, *ONE_HOT[6], 1, 0]  # moves, itself, index
+    second = [1, 5 / 9, -4 / 9, -3 / 9, 2 / 3, *ONE_HOT[6]]
+    second += [1, near, -1 / 9, 1 / 9, 0.5, 0.5]
+    second += [1, 1, 1, 1, 1, 0, 0, 0, 1, *ONE_HOT[1], 0, 1]
+    np.testing.assert_allclose(timestep.obs, [first, second], atol=1e-6)
+    state = [2 / 3, 9 / 15, -6 / 32, -6 / 32, *ONE_HOT[6]]  # health, cooldown, x, y, last action
+    state += [1, 0, -2 / 32, -3 / 32, *ONE_HOT[1]]
+    state += [0.5, -3 / 32, -2 / 32, 0.5, *[0] * 7]  # health, x, y, shield, nothing
+    np.testing.assert_allclose(timestep.state, state, atol=1e-6)
+
+
+def test_smacs_layout_by_hand():
+    timestep = seen("smac")
+    first = [1, 1, 1, 1, 1, 5 / 9, 3 / 9, 4 / 9, 0.5, 0.5, 1, 5 / 9, 4 / 9, 3 / 9, 1, 2 / 3]
+    np.testing.assert_allclose(timestep.obs[0], first, atol=1e-6)
+    state = [2 / 3, 9 / 15, -6 / 32, -6 / 32, 1, 0, -2 / 32, -3 / 32]
+    state += [0.5, -3 / 32, -2 / 32, 0.5, *ONE_HOT[6], *ONE_HOT[1]]
+    np.testing.assert_allclose(timestep.state, state, atol=1e-6)
+
+
+def test_the_dead_see_nothing_and_are_not_seen():
+    timestep = seen("mappo", health=[0, 45, 50])
+    np.testing.assert_array_equal(timestep.obs[0], [0] * 34 + [1, 0])
+    np.testing.assert_array_equal(timestep.obs[1, :12], np.zeros(12))
+    np.testing.assert_array_equal(timestep.state[:11], np.zeros(11))
+    assert timestep.action_mask[0].tolist() == [True] + [False] * 6
+    assert timestep.info["allies_alive"] == 1
+    timestep = seen("smac", health=[0, 45, 50])
+    assert not timestep.obs[0].any()
+
+
+def test_beyond_9_cells_nothing_is_seen():
+    timestep = seen("smac", x=[8.0, 17.5, 17.0], y=[14.0, 14.0, 14.0])  # 9.5 and 9 apart
+    np.testing.assert_array_equal(timestep.obs[0, 4:15], np.zeros(11))
+
+
+def test_masks():
+    mask = seen("smac", x=[6.5, 12, 18.0], y=[14.0] * 3).action_mask
+    # No-op never; stop always; (5.5, 14) is a wall; the zealot is 11.5 and exactly 6 cells away.
+    assert mask[0].tolist() == [False, True, True, True, True, False, False]
+    assert mask[1].tolist() == [False, True, True, True, True, True, True]
+    assert not seen("smac", x=[6.5, 11.99, 18.0], y=[14.0] * 3).action_mask[1, 6]
+    # The house of 2s_vs_1sc: in the cells of row 21, x 10 to 17, there is no way up at x = 10.
+    env = MicroBattle("2s_vs_1sc")
+    units = env.reset(jax.random.key(0))[0].units
+    units = units._replace(x=jnp.array([10.5, 11.5, 14.0]), y=jnp.array([21.5, 21.5, 20.0]))
+    north, west = action_mask(env.layout, units)[:2, [2, 5]].T.tolist()
+    assert (north, west) == ([False, True], [False, True])
+
+
+def test_starts_are_the_maps_with_a_little_noise():
+    env = MicroBattle("2m_vs_1z")
+    state, timestep = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 500))
+    off = np.stack([state.units.x - np.array([13, 19, 16]), state.units.y - np.array([12, 12, 19])])
+    # Uniform over a disc of radius 0.1, whose coordinates deviate by half of that.
+    assert 0.099 < np.hypot(*off).max() <= 0.1 + 1e-5
+    assert abs(off.mean((1, 2))).max() < 0.005
+    np.testing.assert_allclose(off.std((1, 2)), 0.05, atol=0.002)
+    assert (state.goal[:, 1] == 12).all()
+    assert 13 <= state.goal[:, 0].min() < 13.1 < 18.9 < state.goal[:, 0].max() <= 19
+    assert not timestep.done.any()
+    spine = jax.vmap(MicroBattle("2s_vs_1sc").reset)(jax.random.split(jax.random.key(0), 9))[0]
+    assert (spine.units.x[:, 2] == 14).all()
+
+
+SMALL = Scenario((Spawn("marine", 2.0, 2.0),), (Spawn("zealot", 6.0, 6.0),), ((0, 0, 8, 8),))
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"allies": ()}, "allies must have at least one unit, got none"),
+        ({"enemies": ()}, "enemies must have at least one unit, got none"),
+        (
+            {"allies": (Spawn("marin", 2.0, 2.0),)},
+            "allies[0]: unknown unit 'marin'; choose from marine, zealot, stalker, spine_crawler",
+        ),
+        (
+            {"allies": (Spawn("spine_crawler", 2.0, 2.0),)},
+            "allies[0]: a spine_crawler cannot move, so it cannot be an agent's",
+        ),
+        (
+            {"enemies": (Spawn("zealot", 8.5, 6.0),)},
+            "enemies[0]: the zealot at (8.5, 6.0) starts in a wall, or less than 0.1 from one; "
+            "move it onto the floor",
+        ),
+        ({"enemies": (Spawn("zealot", 2.0, 2.0),)}, "allies[0]: another unit starts at (2.0, 2.0)"),
+        ({"floor": ()}, "floor must be rectangles (left, bottom, right, top) that are not empty"),
+        ({"floor": ((4, 0, 4, 8),)}, "floor must be rectangles (left, bottom, right, top) that"),
+        ({"goals": ((9.0, 1.0),)}, "goals: (9.0, 1.0) is in a wall; move it onto the floor"),
+        ({"goals": ((1.0, 1.0),) * 3}, "goals must be none, one point or two, got 3"),
+        ({"max_steps": 0}, "max_steps must be at least 1, got 0"),
+    ],
+)
+def test_a_scenario_that_makes_no_sense_is_refused(fields, message):
+    with pytest.raises(ValueError) as error:  # noqa: PT011 (the message is compared)
+        dataclasses.replace(SMALL, **fields)
+    assert str(error.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"scenario": "3n"}, "scenario '3n' is unknown; choose from 3m, 2s_vs_1sc"),
+        ({"balance": "wol"}, "balance must be multi or liberty, got 'wol'"),
+        ({"observation": "raw"}, "observation must be mappo or smac, got 'raw'"),
+        ({"time_limit": 0}, "time_limit must be at least 1 or None, got 0"),
+    ],
+)
+def test_an_unknown_setting_is_refused(fields, message):
+    with pytest.raises(ValueError) as error:  # noqa: PT011 (the message is compared)
+        MicroBattle(**fields)
+    assert str(error.value).startswith(message)
+
+
+@pytest.mark.parametrize(
+    "scenario", ["2s_vs_1sc", "2m_vs_1z", SMALL], ids=lambda s: s if isinstance(s, str) else "own"
+)
+def test_scenarios_pass_the_check(scenario):
+    envs_jax.check_environment(MicroBattle(scenario, "liberty", "smac", time_limit=40))
+
+
+@pytest.mark.parametrize("name", sorted(SCENARIOS))
+def test_frames_show_the_living(name):
+    env = MicroBattle(name)
+    state, _ = jax.jit(env.reset)(jax.random.key(0))
+
+    def has(frame, color):
+        return (frame == np.array(color)).all(-1).any()
+
+    frame = env.render(state)
+    assert all(has(frame, color) for color in (*env.agent_colors, (196, 58, 58)))
+    units = state.units._replace(health=state.units.health.at[0].set(0))
+    assert not has(env.render(state._replace(units=units)), env.agent_colors[0])

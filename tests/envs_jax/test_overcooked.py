@@ -1,0 +1,293 @@
+"""The rules of Overcooked one by one, seats, time limit, and kitchens of one's own."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from envs_jax.overcooked.environment import Overcooked, OvercookedState
+from envs_jax.overcooked.layouts import read
+from envs_jax.overcooked.rules import COUNTER, DISH, NOTHING, ONION, POT, SOUP, pot_state
+
+NORTH, SOUTH, EAST, WEST, STAY, INTERACT = range(6)
+KEY = jax.random.key(0)
+# cramped_room: floor at x 1..3, y 1..2; pot (2, 0), onions (0, 1) and (4, 1), dishes (1, 3),
+# serving window (3, 3), all else counters.
+ENVS = {rule: Overcooked(start_cooking=rule, random_seats=False) for rule in ("interact", "auto")}
+STEP = {rule: jax.jit(env.step) for rule, env in ENVS.items()}
+KITCHEN = read("cramped_room")
+
+
+def at(x, y):
+    return 5 * y + x
+
+
+def state(one, other, held=(NOTHING, NOTHING), time=0, **cells):
+    """Two cooks as (x, y, orientation), and states of cells as x_y=state."""
+    grid = KITCHEN.grid.copy()
+    for name, code in cells.items():
+        grid[at(*map(int, name[1:].split("_")))] = code
+    pose = [4 * at(x, y) + orientation for x, y, orientation in (one, other)]
+    return OvercookedState(
+        pose=jnp.array(pose, jnp.int32),
+        held=jnp.array(held, jnp.int32),
+        grid=jnp.asarray(grid),
+        time=jnp.int32(time),
+        soups=jnp.int32(0),
+        swapped=jnp.bool(False),
+    )
+
+
+def play(current, *actions, rule="interact"):
+    """The state after pairs of actions, and the rewards."""
+    rewards = []
+    for action in actions:
+        current, timestep = STEP[rule](KEY, current, jnp.array(action, jnp.int32))
+        rewards.append(timestep.reward.item())
+    return current, rewards
+
+
+def places(current):
+    return [(p // 4 % 5, p // 20, p % 4) for p in current.pose.tolist()]
+
+
+def cell(current, x, y):
+    return current.grid[at(x, y)].item()
+
+
+# Moving
+
+
+def test_moves_turn_even_when_blocked():
+    current, _ = play(state((1, 1, NORTH), (3, 2, NORTH)), (EAST, NORTH))
+    assert places(current) == [(2, 1, EAST), (3, 1, NORTH)]
+    current, _ = play(current, (NORTH, EAST))  # pot and onions in the way
+    assert places(current) == [(2, 1, NORTH), (3, 1, EAST)]
+    current, _ = play(current, (STAY, STAY))
+    assert places(current) == [(2, 1, NORTH), (3, 1, EAST)]
+
+
+def test_nobody_moves_into_swaps_with_or_contests_a_cook():
+    swap, _ = play(state((1, 1, NORTH), (2, 1, NORTH)), (EAST, WEST))
+    assert places(swap) == [(1, 1, EAST), (2, 1, WEST)]
+    contest, _ = play(state((1, 1, NORTH), (3, 1, NORTH)), (EAST, WEST))
+    assert places(contest) == [(1, 1, EAST), (3, 1, WEST)]
+    into, _ = play(state((1, 1, NORTH), (2, 1, SOUTH)), (EAST, STAY))
+    assert places(into) == [(1, 1, EAST), (2, 1, SOUTH)]
+    # Both stay: the one who would have got away does not.
+    both, _ = play(state((2, 1, NORTH), (2, 2, NORTH)), (SOUTH, NORTH))
+    assert places(both) == [(2, 1, SOUTH), (2, 2, NORTH)]
+
+
+def test_one_may_follow_the_other():
+    current, _ = play(state((1, 1, NORTH), (2, 1, NORTH)), (EAST, EAST))
+    assert places(current) == [(2, 1, EAST), (3, 1, EAST)]
+
+
+# Using things
+
+
+def test_dispensers_fill_empty_hands_only():
+    current, _ = play(state((1, 1, WEST), (1, 2, SOUTH)), (INTERACT, INTERACT))
+    assert current.held.tolist() == [ONION, DISH]
+    current, _ = play(current, (INTERACT, INTERACT))
+    assert current.held.tolist() == [ONION, DISH]
+
+
+@pytest.mark.parametrize("item", [ONION, DISH, SOUP + 1, SOUP + 2, SOUP + 3])
+def test_counters_take_and_give_one_thing(item):
+    current = state((1, 1, NORTH), (3, 2, EAST), held=(item, NOTHING))
+    current, _ = play(current, (INTERACT, INTERACT))
+    assert current.held.tolist() == [NOTHING, NOTHING]
+    assert cell(current, 1, 0) == COUNTER + item
+    current, _ = play(current, (INTERACT, STAY))
+    assert current.held.tolist() == [item, NOTHING]
+    assert cell(current, 1, 0) == COUNTER
+    full = state((1, 1, NORTH), (3, 2, EAST), held=(item, NOTHING), c1_0=COUNTER + DISH)
+    full, _ = play(full, (INTERACT, STAY))  # no exchange
+    assert full.held.tolist() == [item, NOTHING]
+    assert cell(full, 1, 0) == COUNTER + DISH
+
+
+def test_facing_floor_or_a_cook_does_nothing():
+    before = state((1, 1, EAST), (2, 1, WEST), held=(ONION, NOTHING))
+    after, _ = play(before, (INTERACT, INTERACT))
+    assert after.held.tolist() == [ONION, NOTHING]
+    np.testing.assert_array_equal(after.grid, before.grid)
+
+
+def test_player_0_is_first_at_a_counter():
+    """The counter (2, 0) of a kitchen in which both face it from its two sides."""
+    env = Overcooked("XPXOX\nX1X2X\nXDXSX", random_seats=False)
+    start, _ = env.reset(KEY)
+    facing = start._replace(pose=4 * jnp.array([6, 8]) + jnp.array([EAST, WEST]))
+    act = jnp.array([INTERACT, INTERACT])
+    step = jax.jit(env.step)
+    after, _ = step(KEY, facing._replace(held=jnp.array([ONION, NOTHING])), act)
+    assert after.held.tolist() == [NOTHING, ONION]  # put down, and at once picked up
+    after, _ = step(KEY, facing._replace(held=jnp.array([NOTHING, ONION])), act)
+    assert after.held.tolist() == [NOTHING, NOTHING]  # nothing to take, then put down
+    after, _ = step(KEY, facing._replace(held=jnp.array([ONION, DISH])), act)
+    assert after.held.tolist() == [NOTHING, DISH]
+    assert after.grid[7] == COUNTER + ONION
+
+
+# Pots
+
+
+def at_one_pot(rule, held, pot):
+    """Both cooks use the pot (4, 2) of asymmetric_advantages; what they then hold, and the pot."""
+    env = Overcooked("asymmetric_advantages", rule, random_seats=False)
+    start, _ = env.reset(KEY)
+    left, right = 9 * 2 + 3, 9 * 2 + 5
+    facing = start._replace(
+        pose=jnp.array([4 * left + EAST, 4 * right + WEST]),
+        held=jnp.array(held, jnp.int32),
+        grid=start.grid.at[9 * 2 + 4].set(pot),
+    )
+    after, _ = env.step(KEY, facing, jnp.array([INTERACT, INTERACT]))
+    return after.held.tolist(), after.grid[9 * 2 + 4].item()
+
+
+def test_player_0_is_first_at_a_pot():
+    both = at_one_pot("interact", (ONION, ONION), POT + 1)
+    assert both == ([NOTHING, NOTHING], POT + 3)
+    assert at_one_pot("interact", (ONION, ONION), POT + 2) == ([NOTHING, ONION], POT + 3)
+    # Started by player 0, the pot takes no more; filled by player 0, it is started by player 1.
+    started = at_one_pot("interact", (NOTHING, ONION), POT + 1)
+    assert started == ([NOTHING, ONION], pot_state(1, 1))
+    started = at_one_pot("interact", (ONION, NOTHING), POT + 1)
+    assert started == ([NOTHING, NOTHING], pot_state(2, 1))
+    # The soup goes to player 0, and player 1 fills the empty pot.
+    assert at_one_pot("auto", (DISH, DISH), pot_state(3, 20)) == ([SOUP + 3, DISH], POT)
+    assert at_one_pot("auto", (DISH, ONION), pot_state(3, 20)) == ([SOUP + 3, NOTHING], POT + 1)
+
+
+@pytest.mark.parametrize(("rule", "onions"), [("interact", n) for n in (1, 2, 3)] + [("auto", 3)])
+def test_soup_is_ready_20_steps_after_it_was_started(rule, onions):
+    """Started by action t, it cannot be taken by action t + 19 and can by action t + 20."""
+    if rule == "interact":
+        current = state((2, 1, NORTH), (1, 2, NORTH), p2_0=POT + onions)
+    else:
+        current = state((2, 1, NORTH), (1, 2, NORTH), held=(ONION, NOTHING), p2_0=POT + 2)
+    current, _ = play(current, (INTERACT, STAY), rule=rule)  # action t
+    assert current.held.tolist() == [NOTHING, NOTHING]
+    assert cell(current, 2, 0) == pot_state(onions, 1)
+    current = current._replace(held=jnp.array([DISH, NOTHING], jnp.int32))
+    current, _ = play(current, *[(INTERACT, STAY)] * 19, rule=rule)  # t + 1 to t + 19
+    assert current.held.tolist() == [DISH, NOTHING]
+    assert cell(current, 2, 0) == pot_state(onions, 20)
+    waited, _ = play(current, *[(STAY, STAY)] * 30, rule=rule)  # and it never burns
+    for ready in (current, waited):
+        after, _ = play(ready, (INTERACT, STAY), rule=rule)
+        assert after.held.tolist() == [SOUP + onions, NOTHING]
+        assert cell(after, 2, 0) == POT
+
+
+def test_who_starts_a_pot():
+    full = state((2, 1, NORTH), (1, 2, NORTH), p2_0=POT + 3)
+    waited, _ = play(full, *[(STAY, STAY)] * 5)
+    assert cell(waited, 2, 0) == POT + 3
+    empty, _ = play(state((2, 1, NORTH), (1, 2, NORTH)), (INTERACT, STAY))
+    assert cell(empty, 2, 0) == POT
+    two = state((2, 1, NORTH), (1, 2, NORTH), p2_0=POT + 2)
+    assert cell(play(two, (INTERACT, STAY), rule="auto")[0], 2, 0) == POT + 2
+    assert cell(play(two, (INTERACT, STAY))[0], 2, 0) == pot_state(2, 1)
+
+
+@pytest.mark.parametrize(
+    ("held", "pot"),
+    [
+        (ONION, POT + 3),
+        (ONION, pot_state(1, 5)),
+        (ONION, pot_state(3, 20)),
+        (DISH, POT + 3),
+        (DISH, pot_state(3, 18)),
+        (SOUP + 3, POT),
+        (NOTHING, pot_state(2, 20)),
+    ],
+)
+def test_pots_refuse(held, pot):
+    before = state((2, 1, NORTH), (1, 2, NORTH), held=(held, NOTHING), p2_0=pot)
+    used, _ = play(before, (INTERACT, STAY))
+    left_alone, _ = play(before, (STAY, STAY))
+    assert used.held.tolist() == [held, NOTHING]
+    assert cell(used, 2, 0) == cell(left_alone, 2, 0)
+
+
+# Reward, time, seats
+
+
+def test_only_soups_of_three_onions_are_paid():
+    for item, reward in ((ONION, 0), (DISH, 0), (SOUP + 1, 0), (SOUP + 2, 0), (SOUP + 3, 20)):
+        before = state((3, 2, SOUTH), (1, 1, NORTH), held=(item, NOTHING))
+        after, rewards = play(before, (INTERACT, STAY))
+        assert rewards == [reward]
+        assert after.held.tolist() == [NOTHING if item > SOUP else item, NOTHING]
+        assert after.soups == reward / 20
+
+
+def test_two_deliveries_in_one_step():
+    env = Overcooked("XXXPX\nO1S2D\nXXXXX", random_seats=False)
+    start, _ = env.reset(KEY)
+    start = start._replace(
+        pose=4 * (start.pose // 4) + jnp.array([EAST, WEST]), held=jnp.full(2, SOUP + 3)
+    )
+    after, timestep = env.step(KEY, start, jnp.array([INTERACT, INTERACT]))
+    assert timestep.reward == 40
+    assert timestep.info["soups"] == 2
+    assert after.held.tolist() == [NOTHING, NOTHING]
+
+
+def test_time_limit_truncates():
+    current = state((1, 1, NORTH), (3, 2, NORTH), time=398)
+    current, timestep = STEP["interact"](KEY, current, jnp.array([STAY, STAY]))
+    assert not timestep.done
+    _, timestep = STEP["interact"](KEY, current, jnp.array([STAY, STAY]))
+    assert timestep.truncated
+    assert not timestep.terminated
+
+
+def test_urgency_shows_when_fewer_than_40_steps_are_left():
+    env = Overcooked(observation="lossless", random_seats=False)
+    step = jax.jit(env.step)
+    for time, urgent in ((359, 0), (360, 1)):  # at t = 360 and at t = 361 after the step
+        before = state((1, 1, NORTH), (3, 2, NORTH), time=time)
+        _, timestep = step(KEY, before, jnp.array([STAY, STAY]))
+        assert (timestep.obs.reshape(2, -1, 26)[..., 25] == urgent).all()
+        assert timestep.state[-1] == jnp.float32((time + 1) / 400)
+
+
+@pytest.mark.parametrize("observation", ["features", "lossless"])
+def test_swapped_seats_permute_agents_and_nothing_else(observation):
+    env = Overcooked("asymmetric_advantages", observation=observation)
+    reset, step = jax.jit(env.reset), jax.jit(env.step)
+    starts = [reset(jax.random.key(seed)) for seed in range(8)]
+    (plain, seen), (swapped, seen_swapped) = (
+        next(start for start in starts if start[0].swapped == side) for side in (False, True)
+    )
+    for actions in ((EAST, SOUTH), (WEST, INTERACT), (INTERACT, NORTH), (INTERACT, INTERACT)):
+        np.testing.assert_array_equal(seen.obs, seen_swapped.obs[::-1])
+        halves = seen.state.reshape(2, -1)[::-1].ravel() if observation == "features" else None
+        expected = seen.state if halves is None else halves
+        np.testing.assert_array_equal(expected, seen_swapped.state)
+        plain, seen = step(KEY, plain, jnp.array(actions))
+        swapped, seen_swapped = step(KEY, swapped, jnp.array(actions[::-1]))
+    for name in ("pose", "held", "grid"):
+        np.testing.assert_array_equal(getattr(plain, name), getattr(swapped, name))
+
+
+def test_seats_are_a_fair_coin_or_fixed():
+    keys = jax.random.split(jax.random.key(0), 10_000)
+    swapped = jax.jit(jax.vmap(lambda key: Overcooked().reset(key)[0].swapped))(keys)
+    assert abs(swapped.mean() - 0.5) < 4 * 0.5 / 100  # four standard errors
+    assert not any(ENVS["auto"].reset(key)[0].swapped for key in keys[:5])
+
+
+def test_start():
+    current, timestep = ENVS["interact"].reset(KEY)
+    assert places(current) == [(1, 2, NORTH), (3, 1, NORTH)]
+    assert current.held.tolist() == [NOTHING, NOTHING]
+    np.testing.assert_array_equal(current.grid, KITCHEN.grid)
+    assert timestep.info == {"soups": 0}
+    assert timestep.action_mask.all()

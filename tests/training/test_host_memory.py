@@ -1,0 +1,46 @@
+import math
+import platform
+import subprocess
+import sys
+
+import pytest
+
+from hmasd_jax.training import host_memory as memory
+
+FAULTS = """
+import resource
+import numpy as np
+from hmasd_jax.training import host_memory as memory
+
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    np.ones(64 * 2**20, np.uint8)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+usual = faults(), faults()
+memory.keep_freed()
+print(*usual, faults(), faults())
+"""
+
+
+@pytest.mark.parametrize(
+    ("free", "size"), [(math.inf, 10), (1000, 10), (999, 5), (499, 4), (150, 1), (1, 1)]
+)
+def test_seeds_are_dealt_into_even_batches_that_fit(free, size, monkeypatch):
+    monkeypatch.setattr(memory, "available_bytes", lambda: free)
+    assert memory.seeds_at_once(10, lambda n: 100 * n) == size
+
+
+def test_workers_are_no_more_than_fit_into_memory(monkeypatch):
+    for free, expected in ((math.inf, 8), (5 * memory.WORKER_BYTES, 5), (1, 1)):
+        monkeypatch.setattr(memory, "available_host_bytes", lambda free=free: free)
+        assert memory.workers_at_once(8) == expected
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only GNU's C library can")
+def test_freed_memory_is_kept_on_request():
+    run = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, check=True)
+    *usual, first, again = map(int, run.stdout.split())
+    assert min(usual) > 100  # pages come anew each time
+    assert first > 100
+    assert again < 10

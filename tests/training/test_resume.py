@@ -1,0 +1,301 @@
+"""Interrupted in any way and continued, a run is the run that was never interrupted."""
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from hmasd_jax import config as configs
+from hmasd_jax.cli.main import main
+from hmasd_jax.runs import checkpoint
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.runs.checkpoint import CheckpointError
+from hmasd_jax.runs.folder import metrics_path
+from hmasd_jax.runs.load import load_run
+from hmasd_jax.training.loop import Job, train_seeds
+from tests.helpers import toy
+from tests.helpers.toy import SETTINGS, numbers, words
+
+ENDLESS = 10**9
+
+
+@pytest.fixture
+def start():
+    """`start(command, run, *words)`: the toy's command line in a process group of its own."""
+    processes = []
+
+    def start(command, run, *more):
+        line = [sys.executable, toy.__file__, command, "--run-dir", str(run), *more]
+        options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        processes.append(subprocess.Popen(line, start_new_session=True, **options))
+        return processes[-1]
+
+    yield start
+    for process in processes:  # only a failed test leaves anything to kill
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+def wait_until(condition, process, seconds=120):
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, process.stdout.read()
+        assert time.monotonic() < limit, "timed out"
+        time.sleep(0.02)
+
+
+def latest(run, seed):
+    return checkpoint.latest_step(run_folder.checkpoint_folder(run, seed)) or 0
+
+
+def assert_same_state(one, other):
+    def data(x):
+        return jax.random.key_data(x) if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+
+    for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(data(ours), data(theirs))
+
+
+def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
+    """kill -9 soon after a checkpoint has appeared: the next moments are full of writes."""
+    total = 80 * 25
+    killed, whole = tmp_path / "killed", tmp_path / "whole"
+    assert main(["train", "--run-dir", str(whole), *words(total_env_steps=total)]) == 0
+    more, steps = words(total_env_steps=total), []
+    for delay in (0.0, 0.013, 0.031):
+        process = start("train", killed, *more)
+        done = steps[-1] if steps else 0
+        wait_until(lambda done=done: latest(killed, 0) > done, process)
+        time.sleep(delay)
+        os.killpg(process.pid, signal.SIGKILL)
+        text = process.communicate()[0]
+        assert process.returncode == -signal.SIGKILL
+        assert (f"seed 0: resuming from env step {done:,}" if done else "seed 0: fresh") in text
+        steps.append(latest(killed, 0))
+        more = ["--resume"]
+    assert 0 < steps[0] < steps[1] < steps[2] < total
+    assert main(["train", "--run-dir", str(killed), "--resume"]) == 0
+    assert numbers(killed, 0) == numbers(whole, 0)
+    assert_same_state(load_run(killed).state, load_run(whole).state)
+    assert len(json.loads((killed / "run.json").read_text())["resumed"]) == 3
+
+
+def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
+    """4 updates in one go against 2, all memory of them lost but the files, and 2 more."""
+    config = configs.load(
+        None,
+        {
+            "total_env_steps": 160,
+            "log_interval": 40,
+            "eval_interval": 80,
+            "checkpoint_interval": 80,
+            "eval_episodes": 2,
+            "env.max_steps": 15,
+            "algorithm.skill_interval": 10,
+            "algorithm.discriminator_epochs": 1,
+            "algorithm.ppo.num_envs": 2,
+            "algorithm.ppo.rollout_length": 20,
+            "algorithm.ppo.sequence_length": 10,
+            "algorithm.ppo.hidden_size": 8,
+            "algorithm.ppo.num_epochs": 1,
+        },
+    )
+
+    def train(run, updates):
+        stops = iter([False] * updates + [True])
+        job = Job(run, config, (), lambda event: None, lambda: next(stops))
+        return train_seeds(job, [0])[0].kind
+
+    one, two = tmp_path / "one", tmp_path / "two"
+    for run in (one, two):
+        run_folder.create(run, config, [])
+    assert train(one, 4) == "finished"
+    assert train(two, 2) == "interrupted"
+    assert latest(two, 0) == 80
+    assert train(two, 2) == "finished"
+    assert numbers(one, 0) == numbers(two, 0)
+    assert_same_state(load_run(one).state, load_run(two).state)
+    assert int(load_run(two).state.num_updates) == 4
+
+
+def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
+    """Seeds that stand at different steps go on in a group each."""
+    config = configs.load(None, SETTINGS | {"total_env_steps": 160})
+
+    def train(run, seeds, stops):
+        stops = iter(stops)
+        job = Job(run, config, (), lambda event: None, lambda: next(stops, False))
+        return {seed: event.kind for seed, event in train_seeds(job, seeds).items()}
+
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    for run in (whole, parts):
+        run_folder.create(run, config, [])
+    assert set(train(whole, [0, 1, 2], []).values()) == {"finished"}
+    # Asked before every stretch of 40 env steps: the third time for 0 and 1, the second for 2.
+    assert set(train(parts, [0, 1], [False, False, True]).values()) == {"interrupted"}
+    assert train(parts, [2], [False, True]) == {2: "interrupted"}
+    assert [latest(parts, seed) for seed in range(3)] == [80, 80, 40]
+    assert set(train(parts, [0, 1, 2], []).values()) == {"finished"}
+    for seed in range(3):
+        assert numbers(parts, seed) == numbers(whole, seed)
+        assert_same_state(load_run(parts, seed).state, load_run(whole, seed).state)
+
+
+def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
+    run = tmp_path / "run"
+    process = start("train", run, *words(total_env_steps=ENDLESS))
+    wait_until(lambda: latest(run, 0) > 0, process)
+    os.killpg(process.pid, signal.SIGINT)
+    text = process.communicate(timeout=60)[0]
+    assert process.returncode == 130
+    assert (
+        f"interrupted; to continue: python -m hmasd_jax.train train --run-dir {run} --resume"
+        in text
+    )
+    assert "Traceback" not in text
+    assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
+
+
+@pytest.mark.skipif(len(run_folder.available_cores()) < 2, reason="two workers need two cores")
+def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
+    run = tmp_path / "run"
+    process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=2))
+    wait_until(lambda: latest(run, 0) > 0 and latest(run, 1) > 0, process)
+    pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    workers = [p for p in pids if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text()]
+    os.kill(int(workers[0]), signal.SIGKILL)
+    steps = [latest(run, seed) for seed in (0, 1)]
+    wait_until(lambda: any(latest(run, s) > steps[s] + 400 for s in (0, 1)), process)
+    os.killpg(process.pid, signal.SIGINT)
+    text = process.communicate(timeout=60)[0]
+    assert process.returncode == 130, text
+    failed = [s for s in (0, 1) if f"seed {s} failed: its process was killed by SIGKILL" in text]
+    assert len(failed) == 1
+    alive = 1 - failed[0]
+    assert f"seed {alive} interrupted at env step {latest(run, alive):,}" in text
+    assert numbers(run, alive)[-1]["env_steps"] == latest(run, alive)
+    assert "to continue: python -m hmasd_jax.train seed_sweep" in text
+    for pid in workers:
+        assert not Path(f"/proc/{pid}").exists()
+
+
+def test_workers_stop_when_the_parent_is_gone(start, tmp_path):
+    run = tmp_path / "run"
+    process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=1))
+    wait_until(lambda: latest(run, 0) > 0, process)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    process.kill()
+    process.communicate()
+    limit = time.monotonic() + 60
+    while any(Path(f"/proc/{pid}").exists() for pid in children):
+        assert time.monotonic() < limit
+        time.sleep(0.1)
+    assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
+
+
+@pytest.fixture
+def finished(tmp_path):
+    run = tmp_path / "run"
+    assert main(["train", "--run-dir", str(run), *words(total_env_steps=160)]) == 0
+    return run
+
+
+def test_a_finished_run_stays_as_it_is(finished, capsys):
+    before = metrics_path(finished, 0).read_bytes()
+    assert main(["train", "--run-dir", str(finished), "--resume"]) == 0
+    assert metrics_path(finished, 0).read_bytes() == before
+    assert "seed 0 finished at env step 160" in capsys.readouterr().out
+
+
+def test_another_configuration_is_refused_by_name(finished, capsys):
+    command = ["train", "--run-dir", str(finished), "--resume"]
+    assert main([*command, "--algorithm.scale", "2", "--seed", "5"]) == 2
+    message = capsys.readouterr().err
+    assert "algorithm.scale (was 1.0, now 2.0), seed (was 0, now 5)" in message
+    assert message.count("\n") == 1
+    # the same value, said again, is no other configuration
+    assert main([*command, "--algorithm.scale", "1"]) == 0
+
+
+def test_a_finished_run_can_be_trained_further_and_with_more_seeds(finished, tmp_path, capsys):
+    further = ["--total-env-steps", "320", "--num-seeds", "2", "--layout", "map"]
+    assert main(["seed_sweep", "--run-dir", str(finished), "--resume", *further]) == 0
+    at_once = tmp_path / "at_once"
+    settings = words(total_env_steps=320, num_seeds=2, layout="map")
+    assert main(["seed_sweep", "--run-dir", str(at_once), *settings]) == 0
+    for seed in range(2):
+        assert numbers(finished, seed) == numbers(at_once, seed)
+        states = [load_run(run, seed).state for run in (finished, at_once)]
+        assert_same_state(*states)
+    capsys.readouterr()
+    less = ["--resume", "--total-env-steps", "160"]
+    assert main(["train", "--run-dir", str(finished), *less]) == 2
+    assert "total_env_steps 320, which can be raised but not lowered" in capsys.readouterr().err
+
+
+def test_metrics_after_the_checkpoint_are_dropped(finished):
+    """What a kill leaves behind: lines of updates that were not saved, the last cut short."""
+    before = numbers(finished, 0)
+    folder = run_folder.checkpoint_folder(finished, 0)
+    for step in checkpoint.steps(folder):
+        if step > 80:
+            subprocess.run(["rm", "-r", str(folder / str(step))], check=True)
+    with metrics_path(finished, 0).open("a") as file:
+        file.write('{"kind": "train", "env_steps": 200}\n{"kind": "tra')
+    assert main(["train", "--run-dir", str(finished), "--resume"]) == 0
+    assert numbers(finished, 0) == before
+
+
+def test_a_damaged_checkpoint_is_told_with_the_remedy(finished, capsys):
+    folder = run_folder.checkpoint_folder(finished, 0)
+    subprocess.run(["rm", "-r", str(folder / "160")], check=True)
+    for path in (folder / "80" / "state").rglob("*"):
+        if path.is_file():
+            path.write_bytes(b"")
+    assert main(["train", "--run-dir", str(finished), "--resume"]) == 1
+    text = capsys.readouterr().out
+    assert "seed 0 failed: " in text
+    assert "is damaged" in text
+    assert "Traceback" not in text
+
+
+@pytest.mark.parametrize("where", ["checkpoint", "metrics"])
+def test_a_full_disk_ends_the_run_and_leaves_it_usable(where, tmp_path, capsys, monkeypatch):
+    run = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        if where == "checkpoint":
+            save = checkpoint.save
+
+            def fail(folder, step, *args):
+                if step > 80:
+                    raise CheckpointError(f"cannot save {folder / str(step)}: the disk is full")
+                save(folder, step, *args)
+
+            patch.setattr(checkpoint, "save", fail)
+        else:
+            write = logging.JsonLines.write
+
+            def fail(self, record):
+                if record["env_steps"] > 80:
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                write(self, record)
+
+            patch.setattr(logging.JsonLines, "write", fail)
+        assert main(["train", "--run-dir", str(run), *words(total_env_steps=160)]) == 1
+    text = capsys.readouterr().out
+    reason = "the disk is full" if where == "checkpoint" else "No space left on device"
+    assert reason in text
+    assert "--resume" in text
+    assert latest(run, 0) == 80
+    assert main(["train", "--run-dir", str(run), "--resume"]) == 0
+    assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0) == 160
