@@ -9,7 +9,7 @@ __all__ = ["load_policy"]
 
 
 def __getattr__(name: str) -> Any:
-    # Imported at first use: whoever needs one module is not to wait for all libraries.
+    # Import at first use, so that importing one module does not load all libraries.
     if name == "load_policy":
         from hmasd_jax.runs.load import load_policy
 

@@ -12,10 +12,10 @@ from hmasd_jax.types import Algorithm
 
 
 class AlgorithmEntry(NamedTuple):
-    """An algorithm as configuration files and command lines know it."""
+    """Entry of the registry that configuration files and command lines use."""
 
     config: type
-    """Its settings, a frozen dataclass with a field `ppo`."""
+    """Class of its settings: a frozen dataclass with a field `ppo`."""
     make: Callable[[Environment, Any], Algorithm]
     """`make(env, config)`."""
 

@@ -1,4 +1,4 @@
-"""The types that all algorithms share. NamedTuples hold arrays; frozen dataclasses hold settings.
+"""Types that all algorithms share. NamedTuples hold arrays, frozen dataclasses hold settings.
 
 Axes, by name: T rollout steps, E environment copies, N agents, M = T / k segments,
 S sampled sequences, L steps of a sequence.
@@ -16,41 +16,41 @@ from envs_jax import EnvState, TimeStep
 Key = jax.Array
 Metrics = dict[str, Array]
 Memory = Any
-"""What a policy carries from step to step: any pytree with leading batch axes."""
+"""State of a policy between steps: any pytree with leading batch axes."""
 
 
 class EnvCarry(NamedTuple):
-    """Where E environment copies stand between two steps."""
+    """State of E environment copies between two steps."""
 
     env_state: EnvState
     timestep: TimeStep
-    """What the agents see now, after any auto-reset."""
+    """Current time step of the agents, after any auto-reset."""
     first: Bool[Array, " E"]
-    """Whether `timestep` begins an episode: memory from before is not to be used."""
+    """True where `timestep` begins an episode and memory from before must not be used."""
 
 
 class Transition(NamedTuple):
     """One step of E copies. `unroll` stacks T of them in front."""
 
     timestep: TimeStep
-    """What the agents saw when they acted."""
+    """Time step that the agents acted on."""
     first: Bool[Array, "*T E"]
     action: Int[Array, "*T E N"]
     extras: Any
-    """What the policy wants kept: log-probabilities, values, memory."""
+    """Outputs that the policy keeps for the update: log-probabilities, values, memory."""
     outcome: TimeStep
-    """What the action led to, before any auto-reset: true last observation, reward, done."""
+    """Result of the action before any auto-reset: true last observation, reward, done."""
 
 
 class Learner(NamedTuple):
-    """Parameters and the state of their optimizer."""
+    """Parameters with the state of their optimizer."""
 
     params: Any
     opt_state: optax.OptState
 
 
 class StepFn(Protocol):
-    """Acts for a batch of any leading shape: `(memory, timestep, first, key)`."""
+    """Acting of a policy on a batch of any leading shape."""
 
     def __call__(
         self, memory: Memory, timestep: TimeStep, first: Bool[Array, "*batch"], key: Key
@@ -73,6 +73,6 @@ class Algorithm(NamedTuple):
     init: Callable[[Key], Any]
     """`init(key)`: the whole train state, one pytree. It has a field `num_updates`."""
     update: Callable[[Any], tuple[Any, Metrics]]
-    """`update(state)`: one rollout and all learning from it; metrics are float scalars."""
+    """`update(state)`: one rollout and all learning from it. Metrics are float scalars."""
     policy: Callable[..., Policy]
     """`policy(state, greedy=True)`: act by arg-max (the paper's evaluation) or by sampling."""

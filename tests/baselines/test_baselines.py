@@ -30,14 +30,14 @@ def _mappo(state, transitions, env, memory, order):
     transitions = jax.tree.map(lambda x: x[:, order], transitions)
     env, memory = jax.tree.map(lambda x: x[order], (env, memory))
     batch = mappo.make_batch(parts, state, transitions, env, memory.critic)
-    return mappo.mappo_loss(state.learner.params, parts, state.norm, batch)
+    return mappo.mappo_loss(parts, state.learner.params, state.norm, batch)
 
 
 def _mat(state, transitions, env, memory, order):
     parts = mat.make_parts(ENV, MATConfig(ppo=PPO))
     transitions = jax.tree.map(lambda x: x[:, order], transitions)
     batch = mat.make_batch(parts, state, transitions, jax.tree.map(lambda x: x[order], env))
-    return mat.mat_loss(state.learner.params, parts, state.norm, batch)
+    return mat.mat_loss(parts, state.learner.params, state.norm, batch)
 
 
 def _acting(name, state):

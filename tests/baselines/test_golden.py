@@ -1,5 +1,6 @@
 """MAPPO and MAT compute what the original PyTorch code computes (see golden/README.md)."""
 
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,7 @@ from envs_jax import TimeStep
 from hmasd_jax.baselines import mappo, mat
 from hmasd_jax.baselines.mappo import MAPPOConfig
 from hmasd_jax.baselines.mat import MATConfig
-from hmasd_jax.networks.actor_critic import ActorCriticMemory, action_distribution, state_value
+from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.networks.recurrent import apply
 from hmasd_jax.rl import rollout
 from hmasd_jax.rl.ppo import PPOConfig
@@ -168,21 +169,17 @@ def test_mappo(name, fields):
 
     @jax.jit
     def run(params, value_norm):
-        actor, distribution = action_distribution(
-            parts.networks.actor, params["actor"], begin.actor,
-            timestep.obs, timestep.action_mask, steps.first,
-        )  # fmt: skip
-        seen = mappo.critic_input(config, timestep)
-        first = jnp.broadcast_to(steps.first[..., None], seen.shape[:-1])
-        critic, value = state_value(
-            parts.networks.critic, params["critic"], begin.critic, seen, first
+        actor, distribution = parts.networks.act(
+            params, begin.actor, timestep.obs, timestep.action_mask, steps.first
         )
+        seen = mappo.critic_input(config, timestep)
+        critic, value = parts.networks.value(params, begin.critic, seen, steps.first)
         learner = Learner(params, parts.optimizer.init(params))
         state = mappo.MAPPOState(None, 0, env, end, learner, value_norm)
         batch = mappo.make_batch(parts, state, steps, env, end.critic)
         trained = ppo_epochs(
-            parts.optimizer, lambda p, n, b: mappo.mappo_loss(p, parts, n, b),
-            learner, value_norm, batch, jax.random.key(0), config.ppo,
+            parts.optimizer, partial(mappo.mappo_loss, parts), learner, value_norm, batch,
+            jax.random.key(0), config.ppo,
         )  # fmt: skip
         acted = distribution.log_prob(steps.action), distribution.mode(), value
         return acted, (actor, critic), batch, trained
@@ -214,8 +211,8 @@ def test_mat():
         state = mat.MATState(None, 0, env, learner, value_norm)
         batch = mat.make_batch(parts, state, steps, env)
         trained = ppo_epochs(
-            parts.optimizer, lambda p, n, b: mat.mat_loss(p, parts, n, b),
-            learner, value_norm, batch, jax.random.key(0), config.ppo,
+            parts.optimizer, partial(mat.mat_loss, parts), learner, value_norm, batch,
+            jax.random.key(0), config.ppo,
         )  # fmt: skip
         return (log_prob[..., 0], greedy, value), batch, trained
 

@@ -13,7 +13,7 @@ from hmasd_jax.hmasd.batches import find_segments, high_batch, low_batch, skill_
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment
 from hmasd_jax.hmasd.rollout_phase import Extras, Rollout, RolloutMemory
-from hmasd_jax.networks.actor_critic import ActorCriticMemory
+from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import EnvCarry, Transition
@@ -34,7 +34,7 @@ def _parts(bootstrap_truncation=False, num_envs=1, **fields):
 
     def critic(params, memory, state, first, team_skill, method):
         memory = jnp.where(first[0][..., None], 0.0, memory)
-        value = state[0] + 10 * team_skill[0].argmax(-1, keepdims=True) + 100 * memory
+        value = state[0] + 10 * team_skill[0][..., None] + 100 * memory
         return memory, value[None]
 
     ppo = PPOConfig(**vars(PPO) | {
@@ -43,7 +43,7 @@ def _parts(bootstrap_truncation=False, num_envs=1, **fields):
     return SimpleNamespace(
         config=HMASDConfig(skill_interval=2, ppo=ppo, **fields),
         coordinator=SimpleNamespace(apply=encode),
-        discoverer=SimpleNamespace(critic=SimpleNamespace(apply=critic)),
+        discoverer=ActorCritic(actor=None, critic=SimpleNamespace(apply=critic)),
     )
 
 

@@ -1,4 +1,4 @@
-"""The discoverer: what actor and critic see, legal actions, and Eq. 7 by hand."""
+"""The discoverer: inputs of actor and critic, legal actions, and Eq. 7 by hand."""
 
 from types import SimpleNamespace
 
@@ -8,13 +8,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.hmasd.discoverer import (
-    LowBatch,
-    action_distribution,
-    discoverer_loss,
-    state_value,
-)
-from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory
+from hmasd_jax.hmasd.discoverer import discoverer_loss
+from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory, SequenceBatch
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.rl.value_norm import ValueNorm
 
@@ -23,7 +18,7 @@ UNIT = ValueNorm(*jnp.array([0.0, 1.0, 1.0]))  # mean 0, deviation 1
 
 def _batch(**fields):
     """One sequence of one step of two agents with two actions."""
-    batch = LowBatch(
+    batch = SequenceBatch(
         memory=ActorCriticMemory(jnp.zeros((1, 2, 4)), jnp.zeros((1, 4))),
         first=jnp.zeros((1, 1), bool),
         obs=jnp.zeros((1, 1, 2, 1)),
@@ -43,9 +38,9 @@ def _networks(probability, value, seen=None):
     """Networks that answer the given numbers and note what they were asked."""
 
     def answer(name, numbers):
-        def apply(params, memory, x, first, condition, method):
+        def apply(params, memory, x, first, skill, method):
             if seen is not None:
-                seen[name] = (memory, x, first, condition)
+                seen[name] = (memory, x, first, skill)
             return memory, jnp.asarray(numbers)
 
         return SimpleNamespace(apply=apply)
@@ -102,9 +97,9 @@ def test_the_actor_sees_its_own_skill_and_the_critic_the_teams():
     batch = _batch(first=jnp.ones((1, 1), bool))
     params = {"actor": {}, "critic": {}}
     discoverer_loss(params, networks, UNIT, batch, HMASDConfig(num_team_skills=2, num_skills=4))
-    # skills are Z = 1, z = (0, 2); axes are (L, S, N, skills) and (L, S, skills).
-    np.testing.assert_array_equal(seen["actor"][3], [[[[1, 0, 0, 0], [0, 0, 1, 0]]]])
-    np.testing.assert_array_equal(seen["critic"][3], [[[0, 1]]])
+    # skills are Z = 1, z = (0, 2); axes are (L, S, N) and (L, S).
+    np.testing.assert_array_equal(seen["actor"][3], [[[0, 2]]])
+    np.testing.assert_array_equal(seen["critic"][3], [[1]])
     # Both agents' memories restart with the episode of their copy.
     np.testing.assert_array_equal(seen["actor"][2], [[[True, True]]])
     np.testing.assert_array_equal(seen["critic"][2], [[True]])
@@ -134,18 +129,16 @@ def test_illegal_actions_are_never_drawn_and_cost_no_gradient(parts, trained):
     obs = np.random.default_rng(0).normal(size=(1, 500, env.num_agents, env.obs_dim))
 
     def distribution(params):
-        return action_distribution(
-            parts.discoverer.actor,
+        return parts.discoverer.act(
             params,
             jnp.zeros((500, env.num_agents, 8)),
             jnp.asarray(obs, jnp.float32),
             mask,
-            jnp.zeros((1, 500, env.num_agents), int),
             jnp.zeros((1, 500), bool),
-            num_skills=3,
+            jnp.zeros((1, 500, env.num_agents), int),
         )[1]
 
-    params = trained.discoverer.params["actor"]
+    params = trained.discoverer.params
     drawn = jax.jit(lambda k: distribution(params).sample(seed=k))(jax.random.key(0))
     assert set(np.unique(drawn[..., 0])) == {0, 2, 4}
     assert set(np.unique(drawn[..., 1])) == {0, 1, 2, 3, 4}
@@ -155,18 +148,34 @@ def test_illegal_actions_are_never_drawn_and_cost_no_gradient(parts, trained):
     assert all(np.isfinite(g).all() for g in jax.tree.leaves(gradient))
 
 
+def test_a_single_step_gives_what_a_sequence_of_one_step_gives(parts, trained):
+    env, discoverer, params = parts.env, parts.discoverer, trained.discoverer.params
+    rng = np.random.default_rng(0)
+    obs = rng.normal(size=(4, env.num_agents, env.obs_dim)).astype(np.float32)
+    state = rng.normal(size=(4, env.state_dim)).astype(np.float32)
+    mask = np.ones((4, env.num_agents, env.num_actions), bool)
+    first = np.array([True, False, True, False])
+    skills, team_skill = np.array([[0, 1]] * 4), np.array([0, 1, 1, 0])
+    actor, critic = rng.normal(size=(4, env.num_agents, 8)), rng.normal(size=(4, 8))
+    memory, step = discoverer.act(params, actor, obs, mask, first, skills)
+    memories, steps = discoverer.act(params, actor, *(x[None] for x in (obs, mask, first, skills)))
+    np.testing.assert_array_equal(step.logits, steps.logits[0])
+    np.testing.assert_array_equal(memory, memories)
+    _, value = discoverer.value(params, critic, state, first, team_skill)
+    _, values = discoverer.value(params, critic, *(x[None] for x in (state, first, team_skill)))
+    np.testing.assert_array_equal(value, values[0])
+
+
 def test_the_value_is_one_per_copy_and_depends_on_state_and_team_skill(parts, trained):
     state = np.random.default_rng(0).normal(size=(1, 4, parts.env.state_dim)).astype(np.float32)
     state[:, 2:] = state[:, :2]
     team_skill = np.array([[0, 0, 1, 1]])
-    _, value = state_value(
-        parts.discoverer.critic,
-        trained.discoverer.params["critic"],
+    _, value = parts.discoverer.value(
+        trained.discoverer.params,
         jnp.zeros((4, 8)),
         state,
-        team_skill,
         jnp.zeros((1, 4), bool),
-        num_team_skills=2,
+        team_skill,
     )
     assert value.shape == (1, 4)
     assert abs(value[0, 0] - value[0, 1]) > 1e-3

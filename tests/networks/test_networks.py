@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.networks.gru import GRU, gru_cell
-from hmasd_jax.networks.layer_norm import LayerNorm, Normed, NormedDense, join, standardize
+from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense, standardize
 from hmasd_jax.networks.recurrent import MLP, RecurrentNet, dense
 from hmasd_jax.rl.categorical import mask_logits
 
@@ -43,10 +43,9 @@ def numpy_linear(x, params):
 
 
 def numpy_mlp(x, params):
-    x = numpy_layer_norm(x, params["LayerNorm_0"])
     for i in range(2):
+        x = numpy_layer_norm(x, params[f"LayerNorm_{i}"])
         x = np.maximum(numpy_linear(x, params[f"Dense_{i}"]), 0.0)
-        x = numpy_layer_norm(x, params[f"LayerNorm_{i + 1}"])  # after the activation
     return x
 
 
@@ -63,11 +62,6 @@ def numpy_gru(h, x, first, params):
         h = (1 - z) * n + z * h
         outputs.append(h)
     return h, np.stack(outputs)
-
-
-def _plain(x):
-    """Inputs that no LayerNorm scales or shifts."""
-    return Normed(x, np.ones(x.shape[-1], np.float32), np.zeros(x.shape[-1], np.float32))
 
 
 def _sequence(size=SIZE):
@@ -105,20 +99,20 @@ def test_linear_weights_are_orthogonal_with_the_gain_and_biases_zero(gain, shape
     np.testing.assert_array_equal(params["bias"], 0.0)
 
 
-def test_mlp_is_layer_norm_then_two_blocks_of_linear_relu_layer_norm():
+def test_mlp_is_two_blocks_of_layer_norm_linear_relu():
     _, x, _ = _sequence(INPUTS)
     mlp = MLP(SIZE)
     params = randomize(init(mlp, x))
-    x_hat, scale, shift = apply(mlp, params, x)
-    assert_allclose(x_hat * scale + shift, numpy_mlp(x, params["params"]), atol=1e-5)
+    assert_allclose(apply(mlp, params, x), numpy_mlp(x, params["params"]), atol=1e-5)
 
 
 def test_gru_matches_pytorchs_and_forgets_where_an_episode_begins():
     memory, x, first = _sequence()
-    gru = GRU(SIZE)
-    params = randomize(init(gru, memory, _plain(x), first))
-    last, outputs = apply(gru, params, memory, _plain(x), first)
-    expected_last, expected = numpy_gru(memory, x, first, params["params"])
+    gru = GRU(SIZE, LayerNorm())
+    params = randomize(init(gru, memory, x, first))
+    last, outputs = apply(gru, params, memory, x, first)
+    normed = numpy_layer_norm(x, params["params"]["norm"])
+    expected_last, expected = numpy_gru(memory, normed, first, params["params"])
     assert_allclose(outputs, expected, atol=1e-5)
     assert_allclose(last, expected_last, atol=1e-5)
 
@@ -147,21 +141,21 @@ def test_the_written_gradient_of_standardize_is_that_of_its_formula():
     assert_allclose(jax.jacrev(standardize)(x), expected, atol=1e-5)
 
 
-def test_a_linear_layer_that_takes_in_scale_and_shift_learns_as_the_two_layers_apart():
+def test_a_linear_layer_with_a_folded_layer_norm_learns_like_the_two_layers_apart():
     rng = np.random.default_rng(5)
-    x, more, *shapes = (rng.normal(size=s) for s in ((BATCH, SIZE), (BATCH, 2), SIZE, SIZE))
-    scale, shift = shapes
-    layer = NormedDense(INPUTS, 1.0)
-    params = randomize(init(layer, join(Normed(x, scale, shift), more)))
+    x, more = rng.normal(size=(BATCH, SIZE)), rng.normal(size=(BATCH, 2))
+    layer = NormedDense(INPUTS, 1.0, LayerNorm())
+    params = randomize(init(layer, x, more))
 
-    def loss(params, scale, shift):
-        return (layer.apply(params, join(Normed(x, scale, shift), more)) ** 2).sum()
+    def loss(params):
+        return (layer.apply(params, x, more) ** 2).sum()
 
-    def loss_apart(params, scale, shift):
-        inputs = jnp.concatenate([x * scale + shift, more], axis=-1)
+    def loss_apart(params):
+        normed = LayerNorm().apply({"params": params["params"]["norm"]}, x)
+        inputs = jnp.concatenate([normed, more], axis=-1)
         return (numpy_linear(inputs, params["params"]) ** 2).sum()
 
-    both = (jax.value_and_grad(f, (0, 1, 2))(params, scale, shift) for f in (loss, loss_apart))
+    both = (jax.value_and_grad(f)(params) for f in (loss, loss_apart))
     jax.tree.map(
         lambda ours, expected: assert_allclose(ours, expected, rtol=1e-3, atol=1e-4), *both
     )
@@ -169,10 +163,10 @@ def test_a_linear_layer_that_takes_in_scale_and_shift_learns_as_the_two_layers_a
 
 def test_what_came_before_first_has_no_effect_and_what_came_before_others_has():
     memory, x, first = _sequence()
-    gru = GRU(SIZE)
-    params = init(gru, memory, _plain(x), first)
-    _, outputs = apply(gru, params, memory, _plain(x), first)
-    _, changed = apply(gru, params, memory + 1.0, _plain(x), first)
+    gru = GRU(SIZE, LayerNorm())
+    params = init(gru, memory, x, first)
+    _, outputs = apply(gru, params, memory, x, first)
+    _, changed = apply(gru, params, memory + 1.0, x, first)
     # Row 0 resets at step 0, row 1 at step 2, row 2 never.
     np.testing.assert_array_equal(changed[:, 0], outputs[:, 0])
     np.testing.assert_array_equal(changed[2:, 1], outputs[2:, 1])
@@ -182,18 +176,18 @@ def test_what_came_before_first_has_no_effect_and_what_came_before_others_has():
 
 def test_gru_in_two_halves_is_gru_in_one():
     memory, x, first = _sequence()
-    gru = GRU(SIZE)
-    params = init(gru, memory, _plain(x), first)
-    last, outputs = apply(gru, params, memory, _plain(x), first)
-    middle, head = apply(gru, params, memory, _plain(x[:2]), first[:2])
-    end, tail = apply(gru, params, middle, _plain(x[2:]), first[2:])
+    gru = GRU(SIZE, LayerNorm())
+    params = init(gru, memory, x, first)
+    last, outputs = apply(gru, params, memory, x, first)
+    middle, head = apply(gru, params, memory, x[:2], first[:2])
+    end, tail = apply(gru, params, middle, x[2:], first[2:])
     assert_allclose(np.concatenate([head, tail]), outputs, atol=1e-6)
     assert_allclose(end, last, atol=1e-6)
 
 
 def test_gru_weights_are_orthogonal_as_one_stacked_matrix():
     memory, x, first = _sequence()
-    params = init(GRU(SIZE), memory, _plain(x), first)["params"]
+    params = init(GRU(SIZE, LayerNorm()), memory, x, first)["params"]
     for kernel in (params["kernel"], params["input"]["kernel"]):
         assert kernel.shape == (SIZE, 3 * SIZE)
         assert_allclose(kernel @ kernel.T, np.eye(SIZE), atol=1e-5)
@@ -204,45 +198,46 @@ def test_gru_weights_are_orthogonal_as_one_stacked_matrix():
     np.testing.assert_array_equal(params["input"]["bias"], 0.0)
 
 
-def _net(condition_at, gain=1.0, num_outputs=3):
+def _net(skill_at, gain=1.0, num_outputs=3):
     memory, x, first = _sequence(INPUTS)
-    condition = np.eye(2)[np.zeros((TIME, BATCH), int)]
-    net = RecurrentNet(num_outputs, SIZE, gain, condition_at)
-    return net, init(net, memory, x, first, condition), (memory, x, first)
+    net = RecurrentNet(num_outputs, SIZE, gain, num_skills=2, skill_at=skill_at)
+    return net, init(net, memory, x, first, np.zeros((TIME, BATCH), int)), (memory, x, first)
 
 
 def test_recurrent_net_is_mlp_gru_norm_head_and_carries_the_memory_unnormalized():
     net, params, (memory, x, first) = _net("last_layer")
     params = randomize(params)
-    condition = np.eye(2)[np.arange(TIME * BATCH).reshape(TIME, BATCH) % 2]
-    last, outputs = apply(net, params, memory, x, first, condition)
+    skill = np.arange(TIME * BATCH).reshape(TIME, BATCH) % 2
+    last, outputs = apply(net, params, memory, x, first, skill)
     p = params["params"]
-    expected_last, features = numpy_gru(memory, numpy_mlp(x, p["MLP_0"]), first, p["GRU_0"])
+    features = numpy_layer_norm(numpy_mlp(x, p["MLP_0"]), p["MLP_0"]["LayerNorm_2"])
+    expected_last, features = numpy_gru(memory, features, first, p["GRU_0"])
     features = numpy_layer_norm(features, p["LayerNorm_0"])
-    features = np.concatenate([features, condition], -1)
+    features = np.concatenate([features, np.eye(2)[skill]], -1)
     assert_allclose(outputs, numpy_linear(features, p["head"]), atol=1e-4)
     assert_allclose(last, expected_last, atol=1e-5)
 
 
-def test_at_the_input_the_condition_joins_before_the_first_layer_norm():
+def test_at_the_input_the_skill_joins_before_the_first_layer_norm():
     net, params, (memory, x, first) = _net("input")
     params = randomize(params)
-    condition = np.eye(2)[np.arange(TIME * BATCH).reshape(TIME, BATCH) % 2]
-    _, outputs = apply(net, params, memory, x, first, condition)
+    skill = np.arange(TIME * BATCH).reshape(TIME, BATCH) % 2
+    _, outputs = apply(net, params, memory, x, first, skill)
     p = params["params"]
-    inputs = np.concatenate([x, condition], -1)
-    _, features = numpy_gru(memory, numpy_mlp(inputs, p["MLP_0"]), first, p["GRU_0"])
+    inputs = np.concatenate([x, np.eye(2)[skill]], -1)
+    features = numpy_layer_norm(numpy_mlp(inputs, p["MLP_0"]), p["MLP_0"]["LayerNorm_2"])
+    _, features = numpy_gru(memory, features, first, p["GRU_0"])
     expected = numpy_linear(numpy_layer_norm(features, p["LayerNorm_0"]), p["head"])
     assert_allclose(outputs, expected, atol=1e-4)
 
 
-@pytest.mark.parametrize(("condition_at", "is_offset"), [("last_layer", True), ("input", False)])
-def test_a_skill_is_a_constant_offset_only_at_the_last_layer(condition_at, is_offset):
-    net, params, (memory, x, first) = _net(condition_at)
+@pytest.mark.parametrize(("skill_at", "is_offset"), [("last_layer", True), ("input", False)])
+def test_a_skill_is_a_constant_offset_only_at_the_last_layer(skill_at, is_offset):
+    net, params, (memory, x, first) = _net(skill_at)
     # Both skills side by side on the batch axis.
-    condition = np.repeat(np.eye(2), BATCH, axis=0)[None].repeat(TIME, 0)
+    skill = np.repeat([0, 1], BATCH)[None].repeat(TIME, 0)
     x, first = np.concatenate([x, x], 1), np.concatenate([first, first], 1)
-    _, outputs = apply(net, params, np.concatenate([memory, memory]), x, first, condition)
+    _, outputs = apply(net, params, np.concatenate([memory, memory]), x, first, skill)
     difference = (outputs[:, BATCH:] - outputs[:, :BATCH]).reshape(-1, 3)
     assert abs(difference).max() > 1e-2
     spread = (difference.max(0) - difference.min(0)).max()

@@ -7,7 +7,7 @@ import pytest
 
 import envs_jax
 from hmasd_jax.hmasd import HMASDConfig, make_hmasd
-from hmasd_jax.hmasd.discoverer import make_discoverer, state_value
+from hmasd_jax.hmasd.discoverer import make_discoverer
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.rl.value_norm import denormalize
 
@@ -34,7 +34,7 @@ def learned_values(env, bootstrap_truncation=False):
         ),
     )
     hmasd = make_hmasd(env, config)
-    critic = make_discoverer(env, config).critic
+    discoverer = make_discoverer(env, config)
 
     @jax.jit
     def train(key):
@@ -44,14 +44,13 @@ def learned_values(env, bootstrap_truncation=False):
     def evaluate(state):
         def step(carry, first):
             env_state, timestep, memory = carry
-            memory, value = state_value(
-                critic, state.discoverer.params["critic"], memory, timestep.state[None],
-                jnp.zeros((1, NUM_EPISODES), int), jnp.full((1, NUM_EPISODES), first),
-                config.num_team_skills,
+            memory, value = discoverer.value(
+                state.discoverer.params, memory, timestep.state,
+                jnp.full(NUM_EPISODES, first), jnp.zeros(NUM_EPISODES, int),
             )  # fmt: skip
             action = jnp.zeros((NUM_EPISODES, 2), int)
             env_state, timestep = jax.vmap(env.step)(keys, env_state, action)
-            return (env_state, timestep, memory), denormalize(state.discoverer_norm, value[0])
+            return (env_state, timestep, memory), denormalize(state.discoverer_norm, value)
 
         keys = jax.random.split(jax.random.key(1), NUM_EPISODES)
         env_state, timestep = jax.vmap(env.reset)(keys)

@@ -1,1 +1,1 @@
-"""Algorithms that HMASD is compared with."""
+"""Algorithms to compare HMASD with."""

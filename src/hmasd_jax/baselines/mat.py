@@ -1,8 +1,8 @@
-"""MAT, the Multi-Agent Transformer (Wen et al., NeurIPS 2022): agents act one after the other.
+"""MAT, the Multi-Agent Transformer (Wen et al., NeurIPS 2022): agents act one after another.
 
-An encoder reads the observations of all agents and gives each a value; a decoder gives each agent
-its action, given the encoding and the actions of the agents before it. As in the authors' code
-neither sees the global state, and a token carries nothing that says whose it is.
+An encoder reads the observations of all agents and gives each a value. A decoder gives each agent
+its action, given the encoding and the actions of the agents before it. Like in the authors' code,
+neither sees the global state, and no token identifies its agent.
 """
 
 from dataclasses import dataclass, field
@@ -12,21 +12,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.networks.actor_critic import agents_loss
-from hmasd_jax.networks.layer_norm import LayerNorm
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
-from hmasd_jax.networks.transformer import (
-    DecoderBlock,
-    EncoderBlock,
-    Head,
-    decoder_inputs,
-    draw_in_turn,
-    gelu,
-)
+from hmasd_jax.networks.transformer import EncoderDecoder, Head, decoder_inputs, draw_in_turn
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.categorical import categorical, mask_logits
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
@@ -39,7 +30,7 @@ from hmasd_jax.validation import check_divides, check_range
 
 @dataclass(frozen=True)
 class MATConfig:
-    """MAT on one task; the defaults are the paper's."""
+    """Settings of MAT. The defaults are the paper's."""
 
     entropy_coef: float = 0.01
     """Weight of the policy's entropy."""
@@ -48,7 +39,7 @@ class MATConfig:
     num_heads: int = 1
     """Attention heads."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    """Optimization settings. MAT has no memory: `sequence_length` means nothing to it."""
+    """Optimization settings. MAT has no memory and ignores `sequence_length`."""
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
@@ -57,7 +48,7 @@ class MATConfig:
 
 
 class MATState(NamedTuple):
-    """Everything that training goes on from."""
+    """State of training: everything that the next update depends on."""
 
     key: Key
     num_updates: Int[Array, ""]
@@ -67,7 +58,7 @@ class MATState(NamedTuple):
 
 
 class Extras(NamedTuple):
-    """What the update needs to know about a step."""
+    """Record of a step that the update needs."""
 
     log_prob: Float[Array, "*T E N"]
     value: Float[Array, "*T E N"]
@@ -87,24 +78,16 @@ class Batch(NamedTuple):
     """Returns in reward units."""
 
 
-class MultiAgentTransformer(nn.Module):
-    """Encoder with a value head, and autoregressive decoder with an action head."""
+class MultiAgentTransformer(EncoderDecoder):
+    """Transformer with a value and an action per agent."""
 
     num_actions: int
-    size: int
-    num_blocks: int
-    num_heads: int
 
     def setup(self) -> None:
-        """Create the parts."""
-        self.embed_obs = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
-        self.encoder_norm = LayerNorm()
-        blocks = range(self.num_blocks)
-        self.encoder_blocks = [EncoderBlock(self.size, self.num_heads) for _ in blocks]
-        self.value_head = Head(1, self.size)
+        """Create the layers."""
+        super().setup()
+        self.embed_obs = self.embedding()
         self.embed_action = dense(self.size, RELU_GAIN, use_bias=False)
-        self.decoder_norm = LayerNorm()
-        self.decoder_blocks = [DecoderBlock(self.size, self.num_heads) for _ in blocks]
         self.action_head = Head(self.num_actions, self.size)
 
     def __call__(
@@ -113,7 +96,7 @@ class MultiAgentTransformer(nn.Module):
         action_mask: Bool[Array, "*batch N actions"],
         action: Int[Array, "*batch N"],
     ) -> tuple[Float[Array, "*batch N actions"], Float[Array, "*batch N"]]:
-        """Teacher-forced: logits of every agent given the actions before it, and all values."""
+        """Return logits of every agent given the actions before it, and a value per agent."""
         encoded, value = self.encode(obs)
         return self.decode(encoded, action_mask, action), value
 
@@ -121,10 +104,7 @@ class MultiAgentTransformer(nn.Module):
         self, obs: Float[Array, "*batch N obs"]
     ) -> tuple[Float[Array, "*batch N size"], Float[Array, "*batch N"]]:
         """Encode o^1..o^N into tokens, and a value of each in normalized units."""
-        x = self.encoder_norm(self.embed_obs(obs))
-        for block in self.encoder_blocks:
-            x = block(x)
-        return x, self.value_head(x)[..., 0]
+        return self.encode_tokens(self.embed_obs(obs))
 
     def decode(
         self,
@@ -132,17 +112,14 @@ class MultiAgentTransformer(nn.Module):
         action_mask: Bool[Array, "*batch N actions"],
         action: Int[Array, "*batch N"],
     ) -> Float[Array, "*batch N actions"]:
-        """Logits of agent i given actions of agents before it; the others' have no effect."""
-        x = gelu(self.embed_action(decoder_inputs(action, self.num_actions)))
-        x = self.decoder_norm(x)
-        for block in self.decoder_blocks:
-            x = block(x, encoded)
-        return mask_logits(self.action_head(x), action_mask)
+        """Return the logits of agent i given the actions before it. Later ones have no effect."""
+        embedded = self.embed_action(decoder_inputs(action, self.num_actions))
+        return mask_logits(self.action_head(self.decode_tokens(embedded, encoded)), action_mask)
 
 
 @dataclass(frozen=True)
 class Parts:
-    """What the pure functions of MAT close over."""
+    """Static components that the pure functions of MAT take."""
 
     env: Environment
     config: MATConfig
@@ -159,27 +136,32 @@ def make_mat(env: Environment, config: MATConfig) -> Algorithm:
 
 
 def make_parts(env: Environment, config: MATConfig) -> Parts:
-    """Network and optimizer; encoder and decoder are clipped by their common norm."""
+    """Build network and optimizer. Encoder and decoder are clipped by their common norm."""
     network = MultiAgentTransformer(
-        env.num_actions, config.ppo.hidden_size, config.num_blocks, config.num_heads
+        size=config.ppo.hidden_size,
+        num_blocks=config.num_blocks,
+        num_heads=config.num_heads,
+        num_actions=env.num_actions,
     )
     return Parts(env, config, network, make_optimizer(config.ppo, ["params"]))
 
 
 def init_state(parts: Parts, key: Key) -> MATState:
-    """A fresh network, and E copies at the start of an episode."""
+    """Initialize the network, and E copies at the start of an episode."""
     key, key_env, key_network = jax.random.split(key, 3)
     env = rollouts.reset(parts.env, key_env, parts.config.ppo.num_envs)
     obs, mask = env.timestep.obs, env.timestep.action_mask
     params = parts.network.init(key_network, obs, mask, jnp.zeros(obs.shape[:-1], int))
     learner = Learner(params, parts.optimizer.init(params))
-    return MATState(key, jnp.int32(0), env, learner, ValueNorm.create())
+    return MATState(
+        key=key, num_updates=jnp.int32(0), env=env, learner=learner, norm=ValueNorm.create()
+    )
 
 
 def act(
     parts: Parts, params: dict, timestep: TimeStep, key: Key, greedy: bool
 ) -> tuple[Int[Array, "*batch N"], Extras]:
-    """Actions, each given those of the agents before it."""
+    """Choose the action of each agent, given those of the agents before it."""
     encoded, value = apply(parts.network, params, timestep.obs, method="encode")
 
     def decode(action):
@@ -190,7 +172,7 @@ def act(
 
 
 def make_policy(parts: Parts, state: MATState, greedy: bool = True) -> Policy:
-    """Execution, which is as centralized as training; nothing is remembered."""
+    """Build the policy for execution, which is as centralized as training. It has no memory."""
 
     def step(memory, timestep, first, key):
         del first
@@ -201,13 +183,13 @@ def make_policy(parts: Parts, state: MATState, greedy: bool = True) -> Policy:
 
 
 def make_batch(parts: Parts, state: MATState, transitions: Transition, env: EnvCarry) -> Batch:
-    """Advantages and targets of every agent over a rollout, then one sample per step.
+    """Compute advantages and targets of every agent, and make one sample of each step.
 
     Args:
         parts: network and settings.
         state: parameters and value normalizer during the rollout.
         transitions: (T, E, ...), with `Extras`.
-        env: where the copies stand after the last step.
+        env: the copies after the last step.
     """
     timestep, extras, outcome = transitions.timestep, transitions.extras, transitions.outcome
 
@@ -220,19 +202,25 @@ def make_batch(parts: Parts, state: MATState, transitions: Transition, env: EnvC
     )  # fmt: skip
     advantage = normalize_advantage(advantage, has_choice(timestep.action_mask))
     steps = Batch(
-        timestep.obs, timestep.action_mask, transitions.action, extras.log_prob, extras.value,
-        advantage, target,
-    )  # fmt: skip
+        obs=timestep.obs,
+        action_mask=timestep.action_mask,
+        action=transitions.action,
+        log_prob=extras.log_prob,
+        value=extras.value,
+        advantage=advantage,
+        target=target,
+    )
     return rollouts.flatten(steps)
 
 
 def mat_loss(
-    params: dict, parts: Parts, norm: ValueNorm, batch: Batch
+    parts: Parts, params: dict, norm: ValueNorm, batch: Batch
 ) -> tuple[Float[Array, ""], Metrics]:
-    """Clipped policy loss and entropy of the agents that have a choice, clipped value loss of all.
+    """Return the clipped policy loss minus the entropy, plus the clipped value loss.
 
-    All are means over samples and agents. The Huber loss is the correct one: where the authors'
-    forgets large errors of one sign, so that they are never learned from, ours does not.
+    Policy loss and entropy are means over the agents that have a choice, the value loss over all.
+    The Huber loss is the correct one. The authors' drops large errors of one sign and never learns
+    from them.
     """
     logits, value = apply(parts.network, params, batch.obs, batch.action_mask, batch.action)
     distribution = categorical(logits)
@@ -241,7 +229,7 @@ def mat_loss(
 
 
 def train_iteration(parts: Parts, state: MATState) -> tuple[MATState, Metrics]:
-    """One rollout and all learning from it."""
+    """Do one rollout and all learning from it."""
     key, key_rollout, key_epochs = jax.random.split(state.key, 3)
     ppo = parts.config.ppo
 
@@ -253,13 +241,10 @@ def train_iteration(parts: Parts, state: MATState) -> tuple[MATState, Metrics]:
         parts.env, step_fn, state.env, (), key_rollout, ppo.rollout_length
     )
     batch = make_batch(parts, state, transitions, env)
-
-    def loss_fn(params, norm, batch):
-        return mat_loss(params, parts, norm, batch)
-
     learner, norm, metrics = ppo_epochs(
-        parts.optimizer, loss_fn, state.learner, state.norm, batch, key_epochs, ppo
+        parts.optimizer, partial(mat_loss, parts), state.learner, state.norm, batch, key_epochs, ppo
     )
-    metrics |= rollouts.episode_metrics(transitions.outcome)
-    metrics |= {"team_reward": transitions.outcome.reward.mean()}
-    return MATState(key, state.num_updates + 1, env, learner, norm), metrics
+    next_state = MATState(
+        key=key, num_updates=state.num_updates + 1, env=env, learner=learner, norm=norm
+    )
+    return next_state, metrics | rollouts.rollout_metrics(transitions.outcome)

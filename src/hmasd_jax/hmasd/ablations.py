@@ -1,7 +1,7 @@
-"""What the ablations NoIndi and NoHigh of the paper (Sec. 4.3) have in the coordinator's place.
+"""Coordinators of the ablations NoIndi and NoHigh (Sec. 4.3).
 
-The other three ablations are settings: NoTeam has `num_team_skills = 1`, NoExRew
-`extrinsic_coef = 0`, NoInRew neither of the two intrinsic coefficients.
+The other three ablations are settings. NoTeam sets `num_team_skills = 1`, NoExRew sets
+`extrinsic_coef = 0`, and NoInRew sets both intrinsic coefficients to 0.
 """
 
 from typing import ClassVar
@@ -15,25 +15,25 @@ from hmasd_jax.rl.categorical import mask_logits
 
 
 class TeamOnlyCoordinator(Coordinator):
-    """NoIndi: assigns Z only, and z^i = Z to every agent, so that the actor sees the team's skill.
+    """NoIndi: assign Z only, and z^i = Z to every agent, so that the actor sees the team skill.
 
-    An agent's token has a single legal skill: its log-probability and its entropy are 0, and no
-    gradient of Eq. 6 comes from it.
+    An agent's token has a single legal skill. Its log-probability and entropy are 0, and it
+    contributes no gradient to Eq. 6.
     """
 
     def legal_skills(
         self, skills: Int[Array, "*batch tokens"]
     ) -> Bool[Array, "*batch tokens skills"]:
-        """All at the team's token, Z at those of the agents."""
+        """Allow every skill at the team's token, and Z alone at the agents' tokens."""
         is_team_skill = skills[..., :1, None] == jnp.arange(self.max_skills)
         is_team_token = jnp.arange(skills.shape[-1])[:, None] == 0
         return is_team_token | is_team_skill
 
 
 class RandomCoordinator(Coordinator):
-    """NoHigh: draws every skill uniformly, in evaluation too.
+    """NoHigh: draw every skill uniformly, in evaluation too.
 
-    There is nothing to learn but V_h, which nothing depends on.
+    Only V_h learns, and nothing depends on it.
     """
 
     always_samples: ClassVar[bool] = True
@@ -41,7 +41,7 @@ class RandomCoordinator(Coordinator):
     def decode(
         self, encoded: Float[Array, "*batch tokens size"], skills: Int[Array, "*batch tokens"]
     ) -> Float[Array, "*batch tokens skills"]:
-        """The same logit for every legal skill."""
+        """Return the same logit for every legal skill."""
         legal = self.legal_skills(skills)
         return mask_logits(jnp.zeros((*encoded.shape[:-1], self.max_skills)), legal)
 
@@ -54,11 +54,11 @@ COORDINATORS: dict[CoordinatorKind, type[Coordinator]] = {
 
 
 def make_coordinator(config: HMASDConfig) -> Coordinator:
-    """The coordinator's network."""
+    """Build the coordinator that `config.coordinator` names."""
     return COORDINATORS[config.coordinator](
-        config.num_team_skills,
-        config.num_skills,
-        config.ppo.hidden_size,
-        config.num_blocks,
-        config.num_heads,
+        size=config.ppo.hidden_size,
+        num_blocks=config.num_blocks,
+        num_heads=config.num_heads,
+        num_team_skills=config.num_team_skills,
+        num_skills=config.num_skills,
     )

@@ -12,7 +12,7 @@ from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
-from hmasd_jax.hmasd.discoverer import LowBatch, discoverer_loss
+from hmasd_jax.hmasd.discoverer import discoverer_loss
 from hmasd_jax.hmasd.discriminators import (
     SkillPair,
     discriminator_loss,
@@ -21,11 +21,8 @@ from hmasd_jax.hmasd.discriminators import (
 )
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
-from hmasd_jax.hmasd.rollout_phase import (
-    RolloutMemory,
-    collect,
-    init_rollout_memory,
-)
+from hmasd_jax.hmasd.rollout_phase import RolloutMemory, collect, init_rollout_memory
+from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
@@ -33,7 +30,7 @@ from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 
 
 class HMASDState(NamedTuple):
-    """Everything that training goes on from."""
+    """State of training: everything that the next update depends on."""
 
     key: Key
     num_updates: Int[Array, ""]
@@ -73,22 +70,25 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
     """Algorithm 1, "Initialize": fresh networks, and E copies at the start of an episode."""
     key, key_learners, key_env = jax.random.split(key, 3)
     ppo = parts.config.ppo
+    coordinator, discoverer, discriminators = init_learners(parts, key_learners)
     return HMASDState(
-        key,
-        jnp.int32(0),
-        rollouts.reset(parts.env, key_env, ppo.num_envs),
-        init_rollout_memory(ppo.num_envs, parts.env.num_agents, ppo.hidden_size),
-        *init_learners(parts, key_learners),
-        ValueNorm.create(),
-        ValueNorm.create(),
+        key=key,
+        num_updates=jnp.int32(0),
+        env=rollouts.reset(parts.env, key_env, ppo.num_envs),
+        memory=init_rollout_memory(ppo.num_envs, parts.env.num_agents, ppo.hidden_size),
+        coordinator=coordinator,
+        discoverer=discoverer,
+        discriminators=discriminators,
+        coordinator_norm=ValueNorm.create(),
+        discoverer_norm=ValueNorm.create(),
     )
 
 
 def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metrics]:
-    """One turn of Algorithm 1's outer loop: one rollout, then all three trainings.
+    """Algorithm 1, one turn of the outer loop: one rollout, then all three trainings.
 
     The order is the authors': both returns, coordinator, discoverer, discriminators. Intrinsic
-    rewards come from the discriminators as they were during the rollout.
+    rewards come from the discriminators of the rollout, before they are trained on it.
     """
     key, key_collect, key_choose, key_high, key_low, key_pairs = jax.random.split(state.key, 6)
     rollout = collect(
@@ -100,7 +100,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         key_collect,
     )
     key_noise, key_pairs = jax.random.split(key_pairs)
-    # One sample per step, as they are trained on: what has the same shape is compiled only once.
+    # One sample per step, the shape they are trained on, so that the networks compile once.
     pairs = rollouts.flatten(observe(skill_pairs(parts, rollout), parts.config, key_noise))
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
@@ -115,29 +115,28 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
     metrics = {
-        **rollouts.episode_metrics(rollout.transitions.outcome),
-        "team_reward": team_reward.mean(),
+        **rollouts.rollout_metrics(rollout.transitions.outcome),
         "low_reward": reward.mean(),
         **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
         **{f"coordinator/{k}": v for k, v in high_metrics.items()},
         **{f"discoverer/{k}": v for k, v in low_metrics.items()},
     }
-    following = HMASDState(
-        key,
-        state.num_updates + 1,
-        rollout.env,
-        rollout.memory,
-        coordinator,
-        discoverer,
-        discriminators,
-        coordinator_norm,
-        discoverer_norm,
+    next_state = HMASDState(
+        key=key,
+        num_updates=state.num_updates + 1,
+        env=rollout.env,
+        memory=rollout.memory,
+        coordinator=coordinator,
+        discoverer=discoverer,
+        discriminators=discriminators,
+        coordinator_norm=coordinator_norm,
+        discoverer_norm=discoverer_norm,
     )
-    return following, metrics
+    return next_state, metrics
 
 
 def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float | Float[Array, ""]:
-    """lambda_l after `num_updates` updates."""
+    """Return lambda_l after `num_updates` updates."""
     if not config.low_entropy_decay_updates:
         return config.low_entropy_coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates
@@ -147,7 +146,7 @@ def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float 
 def train_coordinator(
     parts: Parts, state: HMASDState, batch: HighBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
-    """Epochs of Eq. 6."""
+    """Train on Eq. 6 for the configured epochs."""
 
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config)
@@ -159,9 +158,9 @@ def train_coordinator(
 
 
 def train_discoverer(
-    parts: Parts, state: HMASDState, batch: LowBatch, key: Key
+    parts: Parts, state: HMASDState, batch: SequenceBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
-    """Epochs of Eq. 7."""
+    """Train on Eq. 7 for the configured epochs."""
     entropy_coef = low_entropy_coef(parts.config, state.num_updates)
 
     def loss_fn(params, norm, batch):
@@ -176,7 +175,7 @@ def train_discoverer(
 def train_discriminators(
     parts: Parts, state: HMASDState, pairs: SkillPair, key: Key
 ) -> tuple[Learner, Metrics]:
-    """Epochs of Eq. 8 on the whole rollout."""
+    """Train on Eq. 8 for the configured epochs, on the whole rollout each."""
 
     def step(learner, pairs):
         return gradient_step(

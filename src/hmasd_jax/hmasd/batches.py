@@ -1,4 +1,4 @@
-"""From a rollout to what the three losses take: rewards, advantages, targets, sequences."""
+"""Turn a rollout into the batches of the three losses: rewards, advantages, sequences."""
 
 from typing import NamedTuple
 
@@ -8,21 +8,20 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
-from hmasd_jax.hmasd.discoverer import LowBatch, state_value
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.hmasd.rollout_phase import Rollout
-from hmasd_jax.networks.actor_critic import ActorCriticMemory
+from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
 from hmasd_jax.networks.recurrent import apply
 from hmasd_jax.rl.gae import gae, normalize_advantage, rollout_advantage
 from hmasd_jax.rl.ppo import has_choice
-from hmasd_jax.rl.rollout import cut, flatten, following
+from hmasd_jax.rl.rollout import flatten, following
 from hmasd_jax.rl.value_norm import ValueNorm, denormalize
 from hmasd_jax.types import Key
 
 
 class Segments(NamedTuple):
-    """What the coordinator did and got at every step (T, E, ...); it counts where `begins`."""
+    """Segments as the coordinator sees them, at every step (T, E, ...); valid where `begins`."""
 
     state: Float[Array, "T E state"]
     obs: Float[Array, "T E N obs"]
@@ -30,16 +29,17 @@ class Segments(NamedTuple):
     reward: Float[Array, "T E"]
     """r^h, the sum over the segment."""
     next_value: Float[Array, "T E tokens"]
-    """V_h where the segment leads to, in normalized units."""
+    """V_h at the segment's end, in normalized units."""
     terminated: Bool[Array, "T E"]
-    """Whether nothing is to be bootstrapped there."""
+    """True where nothing may be bootstrapped from that value."""
     done: Bool[Array, "T E"]
-    """Whether an episode ended with the segment's last step."""
+    """True where an episode ended with the segment's last step."""
     begins: Bool[Array, "T E"]
+    """True at a segment's first step."""
 
 
 def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
-    """D of Algorithm 1: (s_{t+1}, Z, o_{t+1}, z^{1:n}) of every step, (T, E, ...)."""
+    """Return D of Algorithm 1: (s_{t+1}, Z, o_{t+1}, z^{1:n}) of every step, (T, E, ...)."""
     transitions, last = rollout.transitions, rollout.env.timestep
     skills = transitions.extras.assignment.skills
     if parts.config.discriminate == "outcome":
@@ -49,7 +49,7 @@ def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
 
 
 def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
-    """Cut the rollout where skills were renewed; its end cuts the last segment, too."""
+    """Cut the rollout where skills were renewed. Its end cuts the last segment too."""
     transitions = rollout.transitions
     outcome, extras = transitions.outcome, transitions.extras
     last = following(extras.renewed, jnp.ones_like(extras.renewed[0]))
@@ -74,12 +74,12 @@ def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
 
 
 def _at(steps: Int[Array, "T E"], x: Shaped[Array, "T E *rest"]) -> Shaped[Array, "T E *rest"]:
-    """Take from each copy what it has at other steps."""
+    """Take the entries of each copy at other steps."""
     return x[steps, jnp.arange(steps.shape[1])]
 
 
 def _in_front(segments: Segments) -> Segments:
-    """Along time, move the beginnings of segments to the front, in order."""
+    """Move the first steps of segments to the front of the time axis, in order."""
     order = jnp.argsort(~segments.begins, axis=0, stable=True)
     return jax.tree.map(lambda x: _at(order, x), segments)
 
@@ -87,10 +87,10 @@ def _in_front(segments: Segments) -> Segments:
 def high_batch(
     parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout, key: Key
 ) -> HighBatch:
-    """B_h: one sample per segment, taken where its skills were drawn.
+    """Build B_h: one sample per segment, taken where its skills were drawn.
 
-    There are `config.num_segments` samples: a random choice of segments, repeated if there are
-    fewer.
+    The batch has `config.num_segments` samples: a random choice of the segments, repeated if there
+    are fewer.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -104,7 +104,13 @@ def high_batch(
         ppo.discount,
         ppo.gae_lambda,
     )
-    batch = HighBatch(segments.state, segments.obs, segments.assignment, advantage, target)
+    batch = HighBatch(
+        state=segments.state,
+        obs=segments.obs,
+        assignment=segments.assignment,
+        advantage=advantage,
+        target=target,
+    )
     chosen = _choose(segments.begins.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
@@ -114,7 +120,7 @@ def high_batch(
 
 
 def _choose(valid: Bool[Array, " n"], slots: int, key: Key) -> Array:
-    """Indices of `slots` valid entries: all of them if they fit, again and again if few."""
+    """Return indices of `slots` valid entries, each at most once unless there are too few."""
     shuffled = jnp.where(valid, jax.random.uniform(key, valid.shape), 2.0)
     count = jnp.minimum(valid.sum(), slots)
     return jnp.argsort(shuffled)[jnp.arange(slots) % count]
@@ -126,8 +132,8 @@ def low_batch(
     norm: ValueNorm,
     rollout: Rollout,
     reward: Float[Array, "T E N"],
-) -> LowBatch:
-    """B_l: advantages and targets over all T steps, then sequences of `sequence_length` steps.
+) -> SequenceBatch:
+    """Build B_l: advantages and targets over all T steps, then sequences of L steps.
 
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
     skill in use there. Advantages are normalized over the agents that have a choice.
@@ -136,42 +142,33 @@ def low_batch(
     ppo, timestep = config.ppo, transitions.timestep
     outcome, extras = transitions.outcome, transitions.extras
     skills = extras.assignment.skills
-    last_value = _critic(
-        parts, params, rollout.memory.low.critic, rollout.env.timestep.state,
-        rollout.next_assignment.team_skill, rollout.env.first,
+    _, last_value = parts.discoverer.value(
+        params, rollout.memory.low.critic, rollout.env.timestep.state, rollout.env.first,
+        rollout.next_assignment.team_skill,
     )  # fmt: skip
 
     def value_of_outcome():
         memory = following(extras.low.critic, rollout.memory.low.critic)
         never = jnp.zeros_like(outcome.done)
-        return _critic(parts, params, memory, outcome.state, skills[..., 0], never)[..., None]
+        value = parts.discoverer.value(params, memory, outcome.state, never, skills[..., 0])[1]
+        return value[..., None]
 
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
     active = has_choice(timestep.action_mask)
     advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
-    begin = jax.tree.map(lambda x: x[:: ppo.sequence_length], extras.low)
-    memory = ActorCriticMemory(*flatten(tuple(begin)))
-    steps = {
-        "first": transitions.first,
-        "obs": timestep.obs,
-        "state": timestep.state,
-        "action_mask": timestep.action_mask,
-        "skills": skills,
-        "action": transitions.action,
-        "log_prob": extras.log_prob,
-        "value": extras.value,
-        "advantage": advantage,
-        "target": target,
-    }
-    return LowBatch(memory, **cut(steps, ppo.sequence_length))
-
-
-def _critic(parts, params, memory, state, team_skill, first):
-    """V_l of a single step, at any leading axes."""
-    _, value = state_value(
-        parts.discoverer.critic, params["critic"], memory, state[None], team_skill[None],
-        first[None], parts.config.num_team_skills,
-    )  # fmt: skip
-    return value[0]
+    steps = SequenceBatch(
+        memory=extras.low,
+        first=transitions.first,
+        obs=timestep.obs,
+        state=timestep.state,
+        action_mask=timestep.action_mask,
+        skills=skills,
+        action=transitions.action,
+        log_prob=extras.log_prob,
+        value=extras.value,
+        advantage=advantage,
+        target=target,
+    )
+    return sequences(steps, ppo.sequence_length)

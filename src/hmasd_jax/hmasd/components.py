@@ -1,4 +1,4 @@
-"""The networks and optimizers of HMASD for one environment: everything static, in one place."""
+"""The networks and optimizers of HMASD for one environment."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from hmasd_jax.hmasd.discriminators import (
     make_discriminators,
     observe,
 )
-from hmasd_jax.networks.actor_critic import ActorCritic
+from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic
 from hmasd_jax.rl.sgd import make_optimizer
 from hmasd_jax.types import Key, Learner
 from hmasd_jax.validation import ConfigError
@@ -25,7 +25,7 @@ from hmasd_jax.validation import ConfigError
 
 @dataclass(frozen=True)
 class Parts:
-    """What the pure functions of HMASD close over."""
+    """Static components that the pure functions of HMASD take."""
 
     env: Environment
     config: HMASDConfig
@@ -38,10 +38,10 @@ class Parts:
 
 
 def make_parts(env: Environment, config: HMASDConfig) -> Parts:
-    """Build networks and optimizers; nothing is initialized yet.
+    """Build networks and optimizers without initializing parameters.
 
     Raises:
-        ConfigError: q_d is to see a feature that obs has not.
+        ConfigError: `discriminator_obs` names a feature that obs does not have.
     """
     ppo = config.ppo
     last = max(config.discriminator_obs, default=0)
@@ -57,7 +57,7 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
         discoverer=make_discoverer(env, config),
         discriminators=make_discriminators(config),
         coordinator_optimizer=make_optimizer(ppo, ["params"]),
-        discoverer_optimizer=make_optimizer(ppo, ActorCritic._fields),
+        discoverer_optimizer=make_optimizer(ppo, NETWORKS),
         discriminator_optimizer=make_optimizer(
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
@@ -65,23 +65,21 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
 
 
 def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
-    """Fresh coordinator, discoverer and discriminators."""
+    """Initialize coordinator, discoverer and discriminators."""
     env, config = parts.env, parts.config
     key_coordinator, key_actor, key_critic, key_team, key_individual = jax.random.split(key, 5)
     state, obs = jnp.zeros((1, env.state_dim)), jnp.zeros((1, env.num_agents, env.obs_dim))
     first = jnp.zeros((1, env.num_agents), bool)
-    team_skill = jnp.zeros((1, config.num_team_skills))
-    skill = jnp.zeros((1, env.num_agents, config.num_skills))
     memory = init_memory((), env.num_agents, config.ppo.hidden_size)
-    actor, critic = parts.discoverer
+    actor, critic = parts.discoverer.actor, parts.discoverer.critic
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     q_team, q_individual = parts.discriminators
     seen = observe(SkillPair(state, obs, tokens), config, key)
     team_skills = jnp.zeros((1, env.num_agents, config.num_team_skills))
     coordinator = parts.coordinator.init(key_coordinator, state, obs, tokens)
     discoverer = {
-        "actor": actor.init(key_actor, memory.actor, obs, first, skill),
-        "critic": critic.init(key_critic, memory.critic, state, first[:, 0], team_skill),
+        "actor": actor.init(key_actor, memory.actor, obs, first, tokens[:, 1:]),
+        "critic": critic.init(key_critic, memory.critic, state, first[:, 0], tokens[:, 0]),
     }
     discriminators = {
         "team": q_team.init(key_team, state),

@@ -8,20 +8,11 @@ from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
-from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.networks.layer_norm import LayerNorm
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
-from hmasd_jax.networks.transformer import (
-    DecoderBlock,
-    EncoderBlock,
-    Head,
-    decoder_inputs,
-    draw_in_turn,
-    gelu,
-)
+from hmasd_jax.networks.transformer import EncoderDecoder, Head, decoder_inputs, draw_in_turn
 from hmasd_jax.rl.categorical import categorical, mask_logits
 from hmasd_jax.rl.ppo import ppo_loss
 from hmasd_jax.rl.value_norm import ValueNorm, normalize
@@ -29,7 +20,7 @@ from hmasd_jax.types import Key, Metrics
 
 
 class Assignment(NamedTuple):
-    """Skills for the next k steps, and what the update needs to know about their draw."""
+    """Skills for the next k steps, with the statistics of their draw that the update needs."""
 
     skills: Int[Array, "*batch tokens"]
     """Z, then z^1..z^N."""
@@ -59,30 +50,21 @@ class HighBatch(NamedTuple):
     """Returns in reward units."""
 
 
-class Coordinator(nn.Module):
-    """Encoder with value heads, and autoregressive decoder with one masked output head."""
+class Coordinator(EncoderDecoder):
+    """Transformer pi_h, V_h with one output head for all tokens, masked to the legal skills."""
 
     num_team_skills: int
     num_skills: int
-    size: int
-    num_blocks: int
-    num_heads: int
 
     always_samples: ClassVar[bool] = False
-    """Whether skills are sampled even where the likeliest ones are asked for."""
+    """Whether to sample skills even where the most likely ones are requested."""
 
     def setup(self) -> None:
-        """Create the parts; the input embeddings of team and agents are separate."""
-        self.embed_state = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
-        self.embed_obs = nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
-        self.encoder_norm = LayerNorm()
-        blocks = range(self.num_blocks)
-        self.encoder_blocks = [EncoderBlock(self.size, self.num_heads) for _ in blocks]
-        self.value_head = Head(1, self.size)
+        """Create the layers. Team and agents have separate embeddings."""
+        super().setup()
+        self.embed_state, self.embed_obs = self.embedding(), self.embedding()
         self.embed_team_skill = dense(self.size, RELU_GAIN, use_bias=False)
         self.embed_skill = dense(self.size, RELU_GAIN, use_bias=False)
-        self.decoder_norm = LayerNorm()
-        self.decoder_blocks = [DecoderBlock(self.size, self.num_heads) for _ in blocks]
         self.skill_head = Head(self.max_skills, self.size)
 
     @property
@@ -96,7 +78,7 @@ class Coordinator(nn.Module):
         obs: Float[Array, "*batch N obs"],
         skills: Int[Array, "*batch tokens"],
     ) -> tuple[Float[Array, "*batch tokens skills"], Float[Array, "*batch tokens"]]:
-        """Teacher-forced: logits of every token given the skills before it, and all V_h."""
+        """Return logits of every token given the skills before it, and V_h of every token."""
         encoded, value = self.encode(state, obs)
         return self.decode(encoded, skills), value
 
@@ -105,26 +87,21 @@ class Coordinator(nn.Module):
     ) -> tuple[Float[Array, "*batch tokens size"], Float[Array, "*batch tokens"]]:
         """Encode (s, o^1..o^N) into tokens and V_h of each, in normalized units."""
         tokens = [self.embed_state(state)[..., None, :], self.embed_obs(obs)]
-        x = self.encoder_norm(jnp.concatenate(tokens, axis=-2))
-        for block in self.encoder_blocks:
-            x = block(x)
-        return x, self.value_head(x)[..., 0]
+        return self.encode_tokens(jnp.concatenate(tokens, axis=-2))
 
     def decode(
         self, encoded: Float[Array, "*batch tokens size"], skills: Int[Array, "*batch tokens"]
     ) -> Float[Array, "*batch tokens skills"]:
-        """Logits of token i given skills 0..i-1; later entries of `skills` have no effect."""
+        """Return the logits of token i given skills 0..i-1. Later skills have no effect."""
         inputs = decoder_inputs(skills, self.max_skills)
         embedded = [self.embed_team_skill(inputs[..., :2, :]), self.embed_skill(inputs[..., 2:, :])]
-        x = self.decoder_norm(gelu(jnp.concatenate(embedded, axis=-2)))
-        for block in self.decoder_blocks:
-            x = block(x, encoded)
+        x = self.decode_tokens(jnp.concatenate(embedded, axis=-2), encoded)
         return mask_logits(self.skill_head(x), self.legal_skills(skills))
 
     def legal_skills(
         self, skills: Int[Array, "*batch tokens"]
     ) -> Bool[Array, "*#batch tokens skills"]:
-        """Which skills each token may have, given those before it: n_Z and n_z differ."""
+        """Mark the skills that each token may have: n_Z for the team, n_z for an agent."""
         counts = jnp.array([self.num_team_skills] + [self.num_skills] * (skills.shape[-1] - 1))
         return jnp.arange(self.max_skills) < counts[:, None]
 
@@ -138,16 +115,23 @@ def assign(
     greedy: bool = False,
     fixed: Sequence[int | None] | None = None,
 ) -> Assignment:
-    """Algorithm 1, line "Sample skills": Z ~ pi_h(.|s, o), then each z^i given those before it.
+    """Algorithm 1, "Sample skills": draw Z ~ pi_h(.|s, o), then each z^i given those before it.
 
-    Tokens with a skill in `fixed` (tokens,) get that one; the others are drawn given it.
+    Args:
+        network: coordinator.
+        params: its parameters.
+        state: global state.
+        obs: observations of all agents.
+        key: PRNG key of the draws.
+        greedy: if True, take the most likely skills instead of sampling.
+        fixed: skills of tokens (1 + N,) that are given; None where one must be drawn.
     """
     encoded, value = apply(network, params, state, obs, method="encode")
 
     def decode(skills):
         return apply(network, params, encoded, skills, method="decode")
 
-    # Illegal skills have probability 0, so each draw is legal at its token.
+    # Illegal skills have probability 0, so every draw is legal.
     greedy = greedy and not network.always_samples
     skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, fixed)
     return Assignment(skills, log_prob, value)
@@ -158,10 +142,10 @@ def coordinator_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 6: L_h = L_PPO{pi_h(Z), V_h(s)} + sum_i L_PPO{pi_h(z^i), V_h(o^i)} - lambda_h H.
 
-    pi_h(Z|s, o) and pi_h(z^i|s, o, Z, z^{<i}) are both rewarded with r^h; H sums their entropies.
+    pi_h(Z|s, o) and pi_h(z^i|s, o, Z, z^{<i}) both receive the reward r^h. H sums their entropies.
 
-    Every token has its own ratio, clip, advantage and value. As in the authors' code the sum over
-    tokens is a mean (equal weights either way).
+    Every token has its own ratio, clip, advantage and value. The sum over tokens is a mean, like in
+    the authors' code; the weights are equal either way.
     """
     skills = batch.assignment.skills
     logits, value = apply(network, params, batch.state, batch.obs, skills)

@@ -9,34 +9,33 @@ from jaxtyping import Array, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.layer_norm import NormedDense
-from hmasd_jax.networks.recurrent import MLP, apply
-from hmasd_jax.networks.transformer import SMALL_GAIN
+from hmasd_jax.networks.recurrent import MLP, SMALL_GAIN, apply
 from hmasd_jax.types import Key, Metrics
 
 
 class Classifier(nn.Module):
-    """MLP and linear head. The head's small gain makes it start out uniform."""
+    """MLP and linear head. The small gain of the head makes the first predictions uniform."""
 
     num_classes: int
     hidden_size: int
 
     @nn.compact
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch classes"]:
-        """Log-probabilities of the classes."""
-        features = MLP(self.hidden_size)(x)
-        logits = NormedDense(self.num_classes, SMALL_GAIN, name="head")(features)
-        return jax.nn.log_softmax(logits)
+        """Return log-probabilities of the classes."""
+        mlp = MLP(self.hidden_size)
+        head = NormedDense(self.num_classes, SMALL_GAIN, mlp.output_norm, name="head")
+        return jax.nn.log_softmax(head(mlp(x)))
 
 
 class Discriminators(NamedTuple):
-    """The two networks; parameters are a dict with the same names."""
+    """The two networks. Parameters are a dict with the same names."""
 
     team: Classifier
     individual: Classifier
 
 
 class SkillPair(NamedTuple):
-    """D: what was reached under which skills."""
+    """Samples of D: the states and observations reached under skills."""
 
     state: Float[Array, "*batch state"]
     """s_{t+1}."""
@@ -47,7 +46,7 @@ class SkillPair(NamedTuple):
 
 
 def make_discriminators(config: HMASDConfig) -> Discriminators:
-    """Feed-forward classifiers over team skills and individual skills."""
+    """Build feed-forward classifiers of team skills and of individual skills."""
     size = config.ppo.hidden_size
     return Discriminators(
         team=Classifier(config.num_team_skills, size),
@@ -56,9 +55,9 @@ def make_discriminators(config: HMASDConfig) -> Discriminators:
 
 
 def center(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
-    """Mean 0 of each feature over the whole batch, and mean variance 1 over the features.
+    """Shift each feature to mean 0 over the batch, and scale all to a mean variance of 1.
 
-    One scale for all: what is far apart in x stays far apart, and a feature that hardly ever
+    All features share one scale: distant inputs stay distant, and a feature that hardly ever
     changes stays small.
     """
     batch = tuple(range(x.ndim - 1))
@@ -68,9 +67,10 @@ def center(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"
 def blur(
     x: Float[Array, "*batch features"], noise: float, key: Key
 ) -> Float[Array, "*batch features"]:
-    """Add Gaussian noise, its standard deviation drawn from [0, `noise`] for each sample.
+    """Add Gaussian noise with a standard deviation drawn from [0, `noise`] for each sample.
 
-    Little noise sets skills apart that are close together; much keeps paying for going further.
+    Samples with little noise separate skills that are close together. Samples with much noise keep
+    rewarding skills that move further apart.
     """
     key_scale, key_noise = jax.random.split(key)
     scale = jax.random.uniform(key_scale, (*x.shape[:-1], 1), maxval=noise)
@@ -78,7 +78,7 @@ def blur(
 
 
 def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
-    """What the discriminators see of states and observations: all, unless options say else."""
+    """Select and transform the inputs of the discriminators: by default, all of them unchanged."""
     state, obs = pair.state, pair.obs
     if config.discriminator_obs:
         obs = obs[..., jnp.array(config.discriminator_obs)]
@@ -94,7 +94,7 @@ def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
 def log_q(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch team_skills"], Float[Array, "*batch N skills"]]:
-    """Log-probabilities log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
+    """Return log q_D(.|s) and log q_d(.|o^i, Z) over all skills."""
     team = apply(networks.team, params["team"], pair.state)
     team_skill = jax.nn.one_hot(pair.skills[..., :1], networks.team.num_classes)
     team_skill = jnp.broadcast_to(team_skill, (*pair.obs.shape[:-1], team_skill.shape[-1]))
@@ -105,14 +105,14 @@ def log_q(
 def _in_use(
     values: Float[Array, "*batch skills"], skill: Int[Array, "*batch"]
 ) -> Float[Array, "*batch"]:
-    """Choose by a mask: choosing by an index takes longer to compile, and so does its gradient."""
+    """Pick the values of `skill` by a mask, which compiles faster than indexing."""
     return jnp.where(jax.nn.one_hot(skill, values.shape[-1], dtype=bool), values, 0.0).sum(-1)
 
 
 def log_q_of_skills(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch N"], Metrics]:
-    """Values of log q_D(Z|s), log q_d(z^i|o^i, Z) for the skills in use; how often they lead."""
+    """Return log q_D(Z|s) and log q_d(z^i|o^i, Z) of the skills in use, and accuracies."""
     team, individual = log_q(params, networks, pair)
     Z, z = pair.skills[..., 0], pair.skills[..., 1:]  # noqa: N806 (the paper's symbols)
     metrics = {
@@ -129,7 +129,7 @@ def discriminator_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 8: L_d = -E[log q_D(Z|s)] - sum_i E[log q_d(z^i|o^i, Z)] over the current rollout.
 
-    As in the authors' code the sum over agents is a mean.
+    The sum over agents is a mean, like in the authors' code.
     """
     team, individual, _ = log_q_of_skills(params, networks, pair)
     metrics = {"team_loss": -team.mean(), "individual_loss": -individual.mean()}

@@ -1,4 +1,4 @@
-"""Execution: what a trained HMASD does (end of Sec. 3.2)."""
+"""Execution: acting with a trained HMASD (end of Sec. 3.2)."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from envs_jax import TimeStep
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment
 from hmasd_jax.hmasd.discoverer import init_memory
-from hmasd_jax.hmasd.rollout_phase import act, blank_assignment, renew
+from hmasd_jax.hmasd.rollout_phase import blank_assignment, renew
 from hmasd_jax.types import Key, Policy
 
 
 class PolicyMemory(NamedTuple):
-    """What HMASD remembers while it acts."""
+    """Memory of HMASD while it acts."""
 
     actor: Float[Array, "*batch N hidden"]
     assignment: Assignment
@@ -31,15 +31,17 @@ def make_policy(
     greedy: bool,
     skills: Sequence[int | None] | None = None,
 ) -> Policy:
-    """New skills at episode steps 0, k, 2k, ..; a step's extras are the skills in use.
+    """Build a policy with new skills at episode steps 0, k, 2k, and so on.
+
+    The extras of a step are the skills in use.
 
     Args:
         parts: networks and settings.
-        coordinator: parameters.
-        discoverer: parameters.
-        greedy: whether skills and actions are the most probable ones, or sampled.
-        skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to look at what
-            was learned; it still chooses those that are None, given those before them.
+        coordinator: parameters of the coordinator.
+        discoverer: parameters of the discoverer.
+        greedy: if True, take the most probable skills and actions instead of sampling.
+        skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to inspect what
+            was learned. The coordinator still chooses those that are None, given those before.
 
     Raises:
         ValueError: wrong number of skills, or a skill that does not exist.
@@ -50,7 +52,7 @@ def make_policy(
     def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
         memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
         blank = blank_assignment((*batch_shape, 1 + num_agents))
-        return PolicyMemory(memory.actor, blank, jnp.zeros(batch_shape, int))
+        return PolicyMemory(actor=memory.actor, assignment=blank, clock=jnp.zeros(batch_shape, int))
 
     def step(memory: PolicyMemory, timestep: TimeStep, first: Bool[Array, "*batch"], key: Key):
         key_assign, key_act = jax.random.split(key)
@@ -59,9 +61,10 @@ def make_policy(
         assignment = renew(
             parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, fixed
         )
-        actor, distribution = act(
-            parts, discoverer, memory.actor, timestep, assignment.individual_skills, first
-        )
+        actor, distribution = parts.discoverer.act(
+            discoverer, memory.actor, timestep.obs, timestep.action_mask, first,
+            assignment.individual_skills,
+        )  # fmt: skip
         action = distribution.mode() if greedy else distribution.sample(seed=key_act)
         return PolicyMemory(actor, assignment, clock + 1), action, assignment.skills
 
@@ -71,7 +74,7 @@ def make_policy(
 def check_skills(
     parts: Parts, skills: Sequence[int | None] | None
 ) -> tuple[int | None, ...] | None:
-    """`skills` as a tuple, if there is one per token and each exists or is None."""
+    """Return `skills` as a tuple, after checking that there is one per token and each exists."""
     if skills is None:
         return None
     counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents

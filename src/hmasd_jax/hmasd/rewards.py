@@ -15,13 +15,13 @@ def low_level_reward(
 ) -> Float[Array, "*batch N"]:
     """Eq. 4: r^i = lambda_e r + lambda_D log q_D(Z|s') + lambda_d log q_d(z^i|o^i', Z).
 
-    s' and o' are what step t led to, s_{t+1} and o_{t+1}.
+    s' and o' are the state and observations after step t, s_{t+1} and o_{t+1}.
 
     Args:
         reward: team reward r_t.
         log_q_team: log q_D of the team skill in use.
         log_q_individual: log q_d of each agent's skill in use.
-        config: the three coefficients; with `skill_prior`, log p of a uniform prior is subtracted
+        config: the three coefficients. With `skill_prior`, log p of a uniform prior is subtracted
             from each log q, so that a useless discriminator pays 0.
     """
     if config.skill_prior:
@@ -38,15 +38,15 @@ def high_level_reward(
 
     Args:
         reward: team reward of every step.
-        last: whether the step is the last of its segment.
+        last: True at the last step of a segment.
 
     Returns:
-        At every step the sum from there to the end of its segment; r^h at a segment's first.
+        The sum from each step to the end of its segment, which is r^h at a segment's first step.
     """
 
-    def backward(following, step):
+    def backward(later, step):
         reward, last = step
-        total = reward + jnp.where(last, 0.0, following)
+        total = reward + jnp.where(last, 0.0, later)
         return total, total
 
     return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, last), reverse=True)[1]

@@ -1,7 +1,7 @@
 """Algorithm 1, inference phase: assign skills every k steps and act on them in between."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,31 +11,24 @@ from envs_jax import TimeStep
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
-from hmasd_jax.hmasd.discoverer import (
-    action_distribution,
-    init_memory,
-    state_value,
-)
+from hmasd_jax.hmasd.discoverer import init_memory
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.rl.rollout import unroll
 from hmasd_jax.types import EnvCarry, Key, StepFn, Transition
 
-if TYPE_CHECKING:
-    from distrax import Categorical
-
 
 class RolloutMemory(NamedTuple):
-    """What the copies carry from step to step, and from rollout to rollout."""
+    """Memory of the copies from step to step and from rollout to rollout."""
 
     low: ActorCriticMemory
     assignment: Assignment
-    """In use now, with log-probability and value from when it was drawn."""
+    """Skills in use, with log-probability and value from when they were drawn."""
     clock: Int[Array, " E"]
     """Steps since the rollout or the episode began (see `HMASDConfig.segment_clock`)."""
 
 
 class Extras(NamedTuple):
-    """What the updates need to know about a step."""
+    """Record of a step that the updates need."""
 
     low: ActorCriticMemory
     """Memories before the step."""
@@ -43,9 +36,9 @@ class Extras(NamedTuple):
     value: Float[Array, "*T E"]
     """V_l, in normalized units."""
     assignment: Assignment
-    """The skills in use."""
+    """Skills in use."""
     renewed: Bool[Array, "*T E"]
-    """Whether they were drawn at this step: a segment begins."""
+    """True where they were drawn at this step: a segment begins."""
 
 
 class Rollout(NamedTuple):
@@ -54,25 +47,28 @@ class Rollout(NamedTuple):
     transitions: Transition
     """(T, E, ...), with `Extras`."""
     env: EnvCarry
-    """Where the copies stand after the last step."""
+    """State of the copies after the last step."""
     memory: RolloutMemory
     """After the last step."""
     next_assignment: Assignment
-    """(E, ...) What would be in use at the next step, to bootstrap both levels from; its value is
-    that of the state there."""
+    """(E, ...) Skills in use at the next step, with the value of the state there. Both levels
+    bootstrap from it."""
 
 
 def init_rollout_memory(num_envs: int, num_agents: int, hidden_size: int) -> RolloutMemory:
-    """Memory before the first rollout; the first step draws skills."""
-    low = init_memory((num_envs,), num_agents, hidden_size)
+    """Return the memory before the first rollout. The first step draws skills."""
     return RolloutMemory(
-        low, blank_assignment((num_envs, 1 + num_agents)), jnp.zeros(num_envs, int)
+        low=init_memory((num_envs,), num_agents, hidden_size),
+        assignment=blank_assignment((num_envs, 1 + num_agents)),
+        clock=jnp.zeros(num_envs, int),
     )
 
 
 def blank_assignment(shape: tuple[int, ...]) -> Assignment:
-    """No skills yet."""
-    return Assignment(jnp.zeros(shape, int), jnp.zeros(shape), jnp.zeros(shape))
+    """Return the assignment before the first draw."""
+    return Assignment(
+        skills=jnp.zeros(shape, int), log_prob=jnp.zeros(shape), value=jnp.zeros(shape)
+    )
 
 
 def collect(
@@ -83,12 +79,12 @@ def collect(
     memory: RolloutMemory,
     key: Key,
 ) -> Rollout:
-    """Roll out with the given parameters of coordinator and discoverer."""
+    """Roll out for T steps with the given parameters of coordinator and discoverer."""
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
     if config.segment_clock == "rollout":
-        # T is a multiple of k, so this changes no value; but a constant clock does not depend on
-        # the seed, and under vmap over seeds the coordinator still runs only every k steps.
+        # T is a multiple of k, so this changes no value. But a constant clock does not depend on
+        # the seed, so that under vmap over seeds the coordinator still runs only every k steps.
         memory = memory._replace(clock=jnp.zeros_like(memory.clock))
     step_fn = _act_and_evaluate(parts, coordinator, discoverer)
     env, memory, transitions = unroll(
@@ -98,69 +94,51 @@ def collect(
     state, obs = env.timestep.state, env.timestep.obs
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
-    return Rollout(transitions, env, memory, fresh._replace(skills=skills))
+    return Rollout(
+        transitions=transitions,
+        env=env,
+        memory=memory,
+        next_assignment=fresh._replace(skills=skills),
+    )
 
 
 def read_clock(
     config: HMASDConfig, clock: Int[Array, "*batch"], first: Bool[Array, "*batch"]
 ) -> tuple[Int[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The time that counts at this step, and whether it is time for new skills (t mod k = 0)."""
+    """Return the time at this step, and True where new skills are due (t mod k = 0)."""
     if config.segment_clock == "episode":
         clock = jnp.where(first, 0, clock)
     return clock, clock % config.skill_interval == 0
 
 
 def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
-    """Renew skills if it is time, sample a^i ~ pi_l(.|o^i, z^i) and evaluate V_l(s, Z)."""
-    config = parts.config
+    """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l."""
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
-        clock, renewed = read_clock(config, memory.clock, first)
+        clock, renewed = read_clock(parts.config, memory.clock, first)
         assignment = renew(
             parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy=False
         )
-        actor, distribution = act(
-            parts, discoverer, memory.low.actor, timestep, assignment.individual_skills, first
-        )
-        critic, value = state_value(
-            parts.discoverer.critic,
-            discoverer["critic"],
-            memory.low.critic,
-            timestep.state[None],
-            assignment.team_skill[None],
-            first[None],
-            config.num_team_skills,
+        actor, distribution = parts.discoverer.act(
+            discoverer, memory.low.actor, timestep.obs, timestep.action_mask, first,
+            assignment.individual_skills,
+        )  # fmt: skip
+        critic, value = parts.discoverer.value(
+            discoverer, memory.low.critic, timestep.state, first, assignment.team_skill
         )
         action = distribution.sample(seed=key_act)
-        log_prob = jnp.asarray(distribution.log_prob(action))
-        extras = Extras(memory.low, log_prob, value[0], assignment, renewed)
-        memory = RolloutMemory(ActorCriticMemory(actor, critic), assignment, clock + 1)
-        return memory, action, extras
+        extras = Extras(
+            low=memory.low,
+            log_prob=jnp.asarray(distribution.log_prob(action)),
+            value=value,
+            assignment=assignment,
+            renewed=renewed,
+        )
+        low = ActorCriticMemory(actor=actor, critic=critic)
+        return RolloutMemory(low, assignment, clock + 1), action, extras
 
     return step_fn
-
-
-def act(
-    parts: Parts,
-    params: dict,
-    memory: Float[Array, "*batch N hidden"],
-    timestep: TimeStep,
-    skills: Int[Array, "*batch N"],
-    first: Bool[Array, "*batch"],
-) -> tuple[Float[Array, "*batch N hidden"], "Categorical"]:
-    """pi_l(.|o^i, z^i) at a single step."""
-    memory, distribution = action_distribution(
-        parts.discoverer.actor,
-        params["actor"],
-        memory,
-        timestep.obs[None],
-        timestep.action_mask[None],
-        skills[None],
-        first[None],
-        parts.config.num_skills,
-    )
-    return memory, distribution[0]
 
 
 def renew(
@@ -173,7 +151,7 @@ def renew(
     greedy: bool,
     fixed: Sequence[int | None] | None = None,
 ) -> Assignment:
-    """A fresh assignment where `renewed`, the current one elsewhere."""
+    """Return a fresh assignment where `renewed`, and the current one elsewhere."""
 
     def draw() -> Assignment:
         state, obs = timestep.state, timestep.obs

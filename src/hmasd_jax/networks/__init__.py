@@ -1,1 +1,1 @@
-"""Network blocks with the initialization and normalization of the references."""
+"""Networks, with the initialization and normalization of MAPPO and MAT."""

@@ -1,4 +1,4 @@
-"""PyTorch's GRU over time, whose memory is zeroed where an episode begins (on-policy `rnn.py`)."""
+"""PyTorch's GRU over time, with memory zeroed where an episode begins (on-policy `rnn.py`)."""
 
 import jax
 import jax.numpy as jnp
@@ -6,29 +6,32 @@ from flax import linen as nn
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.networks.initializers import orthogonal
-from hmasd_jax.networks.layer_norm import Normed, NormedDense
+from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense, rows, standardize
 
 
 class GRU(nn.Module):
-    """GRU behind a LayerNorm. Each step has its matrix products to itself.
+    """LayerNorm, then a GRU. Each step does its own matrix products.
 
-    Those of the inputs could be made for all steps at once; but step by step what is made stays
-    in a processor's caches until it is used, which trains faster on a CPU.
+    The products of the inputs could be computed for all steps at once. Step by step, their results
+    stay in the processor's caches until they are used, which trains faster on a CPU.
     """
 
     hidden_size: int
+    norm: LayerNorm
+    """Normalizes the inputs."""
 
     @nn.compact
     def __call__(
         self,
         memory: Float[Array, "*batch hidden"],
-        inputs: Normed,
+        x: Float[Array, "time *batch features"],
         first: Bool[Array, "time *batch"],
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch hidden"]]:
-        """Return the last memory and the memory after every step; `inputs.x` is (time, *batch)."""
+        """Return the last memory and the memory after every step."""
         size = self.hidden_size
-        # Orthogonal as one stacked matrix, not gate by gate, as PyTorch's initializer does it.
-        input_kernel, input_bias = NormedDense(3 * size, 1.0, name="input").weights(inputs)
+        # Orthogonal as one stacked matrix, not gate by gate: the behavior of PyTorch's initializer.
+        layer = NormedDense(3 * size, 1.0, self.norm, name="input")
+        input_kernel, input_bias = layer.folded(x.shape[-1])
         kernel = self.param("kernel", orthogonal(1.0), (size, 3 * size))
         bias = self.param("bias", nn.initializers.zeros_init(), (3 * size,))
 
@@ -38,7 +41,7 @@ class GRU(nn.Module):
             h = gru_cell(h, x @ input_kernel + input_bias, h @ kernel + bias)
             return h, h
 
-        return jax.lax.scan(step, memory, (inputs.x, first))
+        return jax.lax.scan(step, memory, (standardize(rows(x)).reshape(x.shape), first))
 
 
 @jax.custom_vjp
@@ -47,10 +50,10 @@ def gru_cell(
     from_input: Float[Array, "*batch gates"],
     from_memory: Float[Array, "*batch gates"],
 ) -> Float[Array, "*batch hidden"]:
-    """Next memory (1 - z) n + z h, with n = tanh(W_n x + b_n + r (U_n h + c_n)) and r, z sigmoids.
+    """Return (1 - z) n + z h, with n = tanh(W_n x + b_n + r (U_n h + c_n)) and sigmoids r, z.
 
-    The gradient is written down, as it can be had from five arrays, of which JAX would keep ten.
-    Not for forward-mode differentiation.
+    The gradient is written by hand because it needs five arrays, where JAX would keep ten. It has
+    no forward mode.
 
     Args:
         h: memory.

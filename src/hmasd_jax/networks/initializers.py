@@ -12,11 +12,11 @@ from hmasd_jax.types import Key
 
 
 def orthogonal(gain: float) -> nn.initializers.Initializer:
-    """Orthogonal weights of the given gain, one matrix at a time, also under `jax.vmap`.
+    """Build an orthogonal initializer that draws one matrix at a time, also under `jax.vmap`.
 
-    jaxlib's batched QR decomposition waits in a thread of a CPU's pool for tasks that it gives to
-    the same pool. Where there are as many decompositions as threads, all wait for each other, for
-    ever: two cores are enough for a vmapped `init` (jaxlib 0.10.1).
+    jaxlib's batched QR decomposition waits in a thread of the CPU's pool for tasks that it gives to
+    the same pool. With as many decompositions as threads, all wait for each other forever. Two
+    cores are enough to hang a vmapped `init` (jaxlib 0.10.1).
     """
     draw = nn.initializers.orthogonal(gain)
 

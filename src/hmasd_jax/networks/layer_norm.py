@@ -1,6 +1,4 @@
-"""LayerNorm with PyTorch's epsilon, by itself and joined with the linear layer behind it."""
-
-from typing import NamedTuple
+"""LayerNorm with PyTorch's epsilon, and linear layers that apply the LayerNorm before them."""
 
 import jax
 import jax.numpy as jnp
@@ -12,65 +10,73 @@ from hmasd_jax.networks.initializers import orthogonal
 EPSILON = 1e-5
 
 
-class Normed(NamedTuple):
-    """What a LayerNorm makes, `x * scale + shift`, before it is multiplied and added.
-
-    A linear layer behind it can do that with its weights, which are few, instead of with x, whose
-    rows are many: `NormedDense`. Nor does its gradient then go through x to reach the two.
-    """
-
-    x: Float[Array, "*batch features"]
-    scale: Float[Array, " features"]
-    shift: Float[Array, " features"]
+def rows(x: Float[Array, "*batch features"]) -> Float[Array, "rows features"]:
+    """Merge all leading axes: the same numbers, but XLA trains on them a fifth faster on a CPU."""
+    return x.reshape(-1, x.shape[-1])
 
 
 class LayerNorm(nn.Module):
     """LayerNorm over the last axis."""
 
-    @nn.compact
     def __call__(self, x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
         """Normalize, then scale and shift."""
-        x, scale, shift = self.in_parts(x)
-        return x * scale + shift
+        scale, shift = self.scale_and_shift(x.shape[-1])
+        return standardize(x) * scale + shift
 
     @nn.compact
-    def in_parts(self, x: Float[Array, "*batch features"]) -> Normed:
-        """Normalize, and leave scale and shift to the next layer."""
-        scale = self.param("scale", nn.initializers.ones_init(), x.shape[-1:])
-        shift = self.param("bias", nn.initializers.zeros_init(), x.shape[-1:])
-        return Normed(standardize(x), scale, shift)
+    def scale_and_shift(
+        self, features: int
+    ) -> tuple[Float[Array, " features"], Float[Array, " features"]]:
+        """Return the two learned vectors."""
+        scale = self.param("scale", nn.initializers.ones_init(), (features,))
+        return scale, self.param("bias", nn.initializers.zeros_init(), (features,))
 
 
 class NormedDense(nn.Module):
-    """Linear layer behind a LayerNorm: orthogonal weights of the given gain, zero bias."""
+    """LayerNorm and the linear layer behind it: orthogonal weights of the given gain, zero bias.
+
+    The scale and shift of the LayerNorm are folded into the weights, which are few, instead of
+    applied to the inputs, whose rows are many. The gradient of scale and shift then does not pass
+    through the inputs either.
+    """
 
     features: int
     gain: float
+    norm: LayerNorm
+
+    def __call__(
+        self,
+        x: Float[Array, "*batch inputs"],
+        more: Float[Array, "*batch more"] | None = None,
+    ) -> Float[Array, "*batch features"]:
+        """Map the normalized `x`, joined by features `more` that are not normalized."""
+        kernel, bias = self.folded(x.shape[-1], 0 if more is None else more.shape[-1])
+        x = standardize(x)
+        if more is not None:
+            x = jnp.concatenate([x, more], axis=-1)
+        return x @ kernel + bias
 
     @nn.compact
-    def __call__(self, inputs: Normed) -> Float[Array, "*batch outputs"]:
-        """(x * scale + shift) @ kernel + bias."""
-        kernel, bias = self.weights(inputs)
-        return inputs.x @ kernel + bias
-
-    @nn.compact
-    def weights(
-        self, inputs: Normed
-    ) -> tuple[Float[Array, "features outputs"], Float[Array, " outputs"]]:
-        """Kernel and bias that act on `inputs.x` as the layer does on `inputs`."""
-        init = orthogonal(self.gain)
-        kernel = self.param("kernel", init, (inputs.scale.size, self.features))
+    def folded(
+        self, inputs: int, more: int = 0
+    ) -> tuple[Float[Array, "inputs features"], Float[Array, " features"]]:
+        """Return a kernel and a bias that act on standardized inputs."""
+        scale, shift = self.norm.scale_and_shift(inputs)
+        if more:
+            scale = jnp.concatenate([scale, jnp.ones(more)])
+            shift = jnp.concatenate([shift, jnp.zeros(more)])
+        kernel = self.param("kernel", orthogonal(self.gain), (inputs + more, self.features))
         bias = self.param("bias", nn.initializers.zeros_init(), (self.features,))
-        return scale_inputs(kernel, inputs.scale), inputs.shift @ kernel + bias
+        return scale_inputs(kernel, scale), shift @ kernel + bias
 
 
 @jax.custom_vjp
 def scale_inputs(
-    kernel: Float[Array, "features outputs"], scale: Float[Array, " features"]
-) -> Float[Array, "features outputs"]:
-    """Weights that act on x as `kernel` does on x * scale.
+    kernel: Float[Array, "inputs outputs"], scale: Float[Array, " inputs"]
+) -> Float[Array, "inputs outputs"]:
+    """Return the weights that act on x as `kernel` acts on x * scale.
 
-    The gradient is written down to sum as `_mean` does. Not for forward-mode differentiation.
+    The gradient is written by hand so that it sums with `_mean`. It has no forward mode.
     """
     return scale[:, None] * kernel
 
@@ -85,21 +91,12 @@ scale_inputs.defvjp(
 )
 
 
-def join(inputs: Normed, more: Float[Array, "*batch more"]) -> Normed:
-    """Inputs with more features, which are not normalized."""
-    return Normed(
-        jnp.concatenate([inputs.x, more], axis=-1),
-        jnp.concatenate([inputs.scale, jnp.ones(more.shape[-1])]),
-        jnp.concatenate([inputs.shift, jnp.zeros(more.shape[-1])]),
-    )
-
-
 @jax.custom_vjp
 def standardize(x: Float[Array, "*batch features"]) -> Float[Array, "*batch features"]:
-    """Mean 0 and (population) variance 1 over the last axis, as PyTorch's two passes have it.
+    """Shift and scale the last axis to mean 0 and population variance 1, in PyTorch's two passes.
 
-    The gradient is written down, as it needs the result and a factor per row only. Not for
-    forward-mode differentiation.
+    The gradient is written by hand because it needs only the result and one factor per row. It
+    has no forward mode.
     """
     return _standardize(x)[0]
 
@@ -120,7 +117,10 @@ standardize.defvjp(_standardize, _standardize_gradient)
 
 
 def _mean(x: Float[Array, "*batch features"]) -> Float[Array, "*batch 1"]:
-    """As a matrix product: XLA splits a sum into several programs, slower to run and compile."""
+    """Average the last axis by a matrix product.
+
+    XLA splits a sum into several kernels on a CPU, which are slower to run and to compile.
+    """
     average = jnp.full((x.shape[-1], 1), 1.0 / x.shape[-1])
     # "highest" is float32: a GPU's default would round the factors.
     return jnp.matmul(x, average, precision="highest")

@@ -1,60 +1,72 @@
-"""Building blocks with PyTorch's defaults: the networks of MAPPO (on-policy, `r_actor_critic`)."""
+"""Networks with PyTorch's defaults: those of MAPPO (on-policy, `r_actor_critic`)."""
 
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from flax import linen as nn
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.networks.gru import GRU
 from hmasd_jax.networks.initializers import orthogonal
-from hmasd_jax.networks.layer_norm import LayerNorm, Normed, NormedDense, join
+from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense, rows
 
-ConditionAt = Literal["input", "last_layer"]
+SkillAt = Literal["input", "last_layer"]
 
 RELU_GAIN = float(np.sqrt(2))
+SMALL_GAIN = 0.01
+"""Gain of a head whose outputs start out nearly equal."""
 
 
 def dense(features: int, gain: float, name: str | None = None, use_bias: bool = True) -> nn.Dense:
-    """Linear layer with orthogonal weights of the given gain and zero bias."""
+    """Build a linear layer with orthogonal weights of the given gain and zero bias."""
     init = orthogonal(gain)
     return nn.Dense(features, use_bias=use_bias, kernel_init=init, name=name)
 
 
-def rows(x: Float[Array, "*batch features"]) -> Float[Array, "rows features"]:
-    """All leading axes as one: the same numbers, but XLA trains on them a fifth faster on a CPU."""
-    return x.reshape(-1, x.shape[-1])
-
-
 class MLP(nn.Module):
-    """LayerNorm on the input, then blocks of Linear, ReLU, LayerNorm (on-policy `mlp.py`)."""
+    """Blocks of LayerNorm, Linear, ReLU (on-policy `mlp.py`).
+
+    The reference normalizes the last features too. That LayerNorm is `output_norm`; the layer that
+    takes the features applies it.
+    """
 
     hidden_size: int
     num_layers: int = 2
 
-    @nn.compact
-    def __call__(self, x: Float[Array, "*batch inputs"]) -> Normed:
-        """Map features to hidden features, whose scale and shift are left to the next layer."""
-        hidden = LayerNorm().in_parts(rows(x))
-        for i in range(self.num_layers):
-            linear = NormedDense(self.hidden_size, RELU_GAIN, name=f"Dense_{i}")
-            hidden = LayerNorm().in_parts(nn.relu(linear(hidden)))
-        return hidden._replace(x=hidden.x.reshape(*x.shape[:-1], -1))
+    def setup(self) -> None:
+        """Create the layers. Flax names them `LayerNorm_0`, `Dense_0` and so on."""
+        self.LayerNorm = [LayerNorm() for _ in range(self.num_layers + 1)]
+        norms = self.LayerNorm[: self.num_layers]
+        self.Dense = [NormedDense(self.hidden_size, RELU_GAIN, norm) for norm in norms]
+
+    @property
+    def output_norm(self) -> LayerNorm:
+        """LayerNorm for the features that `__call__` returns."""
+        return self.LayerNorm[-1]
+
+    def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch hidden"]:
+        """Map features to hidden features."""
+        hidden = rows(x)
+        for layer in self.Dense:
+            hidden = nn.relu(layer(hidden))
+        return hidden.reshape(*x.shape[:-1], -1)
 
 
 class RecurrentNet(nn.Module):
     """MLP, GRU, LayerNorm, linear head: actor and critic of MAPPO, and of HMASD's discoverer.
 
-    The optional condition (a one-hot skill) joins either the raw input or the features that go
-    into the head. In the latter case it is a constant offset on the outputs: the authors'
+    An optional skill joins, as a one-hot vector, either the raw input or the features that enter
+    the head. In the latter case it is a constant offset on the outputs: the authors'
     `skill_last_layer`, which the paper does not mention.
     """
 
     num_outputs: int
     hidden_size: int
     gain: float
-    condition_at: ConditionAt = "input"
+    num_skills: int = 0
+    skill_at: SkillAt = "input"
 
     @nn.compact
     def __call__(
@@ -62,24 +74,24 @@ class RecurrentNet(nn.Module):
         memory: Float[Array, "*batch hidden"],
         x: Float[Array, "time *batch inputs"],
         first: Bool[Array, "time *batch"],
-        condition: Float[Array, "time *batch skills"] | None = None,
+        skill: Int[Array, "time *batch"] | None = None,
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
-        """Run over `time` steps; returns the last memory and the outputs of every step."""
+        """Run over `time` steps. Return the last memory and the outputs of every step."""
         size, steps = self.hidden_size, first.shape
-        if condition is not None and self.condition_at == "input":
-            x = jnp.concatenate([x, condition], axis=-1)
-        features = MLP(size)(x)
-        features = features._replace(x=features.x.reshape(steps[0], -1, size))
-        memory, x = GRU(size)(memory.reshape(-1, size), features, first.reshape(steps[0], -1))
-        features = LayerNorm().in_parts(rows(x))
-        if condition is not None and self.condition_at == "last_layer":
-            features = join(features, rows(condition))
-        outputs = NormedDense(self.num_outputs, self.gain, name="head")(features)
+        condition = None if skill is None else jax.nn.one_hot(skill, self.num_skills)
+        if condition is not None and self.skill_at == "input":
+            x, condition = jnp.concatenate([x, condition], axis=-1), None
+        mlp = MLP(size)
+        features = mlp(x).reshape(steps[0], -1, size)
+        gru = GRU(size, mlp.output_norm)
+        memory, x = gru(memory.reshape(-1, size), features, first.reshape(steps[0], -1))
+        head = NormedDense(self.num_outputs, self.gain, LayerNorm(), name="head")
+        outputs = head(rows(x), None if condition is None else rows(condition))
         return memory.reshape(*steps[1:], size), outputs.reshape(*steps, -1)
 
 
 class FeedForwardNet(nn.Module):
-    """MLP and linear head, called as `RecurrentNet` is: on-policy's `mappo` without a memory."""
+    """MLP and linear head, called like `RecurrentNet`: on-policy's `mappo` without a memory."""
 
     num_outputs: int
     hidden_size: int
@@ -91,14 +103,15 @@ class FeedForwardNet(nn.Module):
         memory: Float[Array, "*batch hidden"],
         x: Float[Array, "time *batch inputs"],
         first: Bool[Array, "time *batch"],
-        condition: None = None,
+        skill: None = None,
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
-        """Return the memory as it is and the outputs of every step."""
-        del first, condition
-        features = MLP(self.hidden_size)(x)
-        return memory, NormedDense(self.num_outputs, self.gain, name="head")(features)
+        """Return the memory unchanged and the outputs of every step."""
+        del first, skill
+        mlp = MLP(self.hidden_size)
+        head = NormedDense(self.num_outputs, self.gain, mlp.output_norm, name="head")
+        return memory, head(mlp(x))
 
 
 def apply(network: nn.Module, params: dict, *inputs: Any, method: str | None = None) -> Any:
-    """`network.apply` typed as what the network returns, rather than as all flax may return."""
+    """Call `network.apply`, typed as what the network returns instead of all that flax may."""
     return network.apply(params, *inputs, method=method)

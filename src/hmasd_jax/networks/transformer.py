@@ -1,7 +1,7 @@
-"""Encoder and decoder blocks of the Multi-Agent Transformer (MAT `ma_transformer.py`).
+"""Encoder and decoder of the Multi-Agent Transformer (MAT `ma_transformer.py`).
 
-Post-norm, no dropout, no positional embedding. Linear layers that feed a GELU are orthogonal with
-gain sqrt(2); all others have gain 0.01.
+Blocks normalize after the residual. There is no dropout and no positional embedding. Linear layers
+that feed a GELU are orthogonal with gain sqrt(2); all others have gain 0.01.
 """
 
 import math
@@ -13,20 +13,18 @@ from flax import linen as nn
 from jaxtyping import Array, Float, Int
 
 from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense
-from hmasd_jax.networks.recurrent import RELU_GAIN, dense
+from hmasd_jax.networks.recurrent import RELU_GAIN, SMALL_GAIN, dense
 from hmasd_jax.rl.categorical import MASKED_LOGIT, categorical
 from hmasd_jax.types import Key
 
-SMALL_GAIN = 0.01
-
 
 def gelu(x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """GELU in its exact form, by erf as PyTorch's is; JAX's own, by erfc, compiles to more."""
+    """Exact GELU by erf, like PyTorch's. JAX's own uses erfc and compiles to more kernels."""
     return 0.5 * x * (1.0 + jax.lax.erf(x * math.sqrt(0.5)))
 
 
 class Attention(nn.Module):
-    """Multi-head attention; causal if token i may only look at tokens up to i."""
+    """Multi-head attention. If causal, token i attends to tokens up to i only."""
 
     size: int
     num_heads: int
@@ -104,15 +102,59 @@ class Head(nn.Module):
 
     @nn.compact
     def __call__(self, x: Float[Array, "*batch size"]) -> Float[Array, "*batch outputs"]:
-        """Outputs per token."""
-        hidden = LayerNorm().in_parts(gelu(dense(self.size, RELU_GAIN)(x)))
-        return NormedDense(self.num_outputs, SMALL_GAIN, name="Dense_1")(hidden)
+        """Return the outputs of every token."""
+        hidden = gelu(dense(self.size, RELU_GAIN)(x))
+        return NormedDense(self.num_outputs, SMALL_GAIN, LayerNorm(), name="Dense_1")(hidden)
+
+
+class EncoderDecoder(nn.Module):
+    """Encoder with a value head, and decoder for choices that are made one by one.
+
+    MAT and HMASD's coordinator add their own embeddings and their own output head.
+    """
+
+    size: int
+    num_blocks: int
+    num_heads: int
+
+    def setup(self) -> None:
+        """Create the shared layers. Subclasses call this and add theirs."""
+        blocks = range(self.num_blocks)
+        self.encoder_norm = LayerNorm()
+        self.encoder_blocks = [EncoderBlock(self.size, self.num_heads) for _ in blocks]
+        self.value_head = Head(1, self.size)
+        self.decoder_norm = LayerNorm()
+        self.decoder_blocks = [DecoderBlock(self.size, self.num_heads) for _ in blocks]
+
+    def embedding(self) -> nn.Sequential:
+        """Build an embedding of raw inputs: LayerNorm, Linear, GELU."""
+        return nn.Sequential([LayerNorm(), dense(self.size, RELU_GAIN), gelu])
+
+    def encode_tokens(
+        self, embedded: Float[Array, "*batch tokens size"]
+    ) -> tuple[Float[Array, "*batch tokens size"], Float[Array, "*batch tokens"]]:
+        """Encode embedded tokens. Return them and a value of each, in normalized units."""
+        x = self.encoder_norm(embedded)
+        for block in self.encoder_blocks:
+            x = block(x)
+        return x, self.value_head(x)[..., 0]
+
+    def decode_tokens(
+        self,
+        embedded: Float[Array, "*batch tokens size"],
+        encoded: Float[Array, "*batch tokens size"],
+    ) -> Float[Array, "*batch tokens size"]:
+        """Decode embedded choices, before their GELU, given the encoder's tokens."""
+        x = self.decoder_norm(gelu(embedded))
+        for block in self.decoder_blocks:
+            x = block(x, encoded)
+        return x
 
 
 def decoder_inputs(
     choices: Int[Array, "*batch tokens"], num_choices: int
 ) -> Float[Array, "*batch tokens inputs"]:
-    """One-hot choices, shifted by one: the start symbol (index 0), then all but the last."""
+    """Return one-hot choices shifted by one: the start symbol (index 0), then all but the last."""
     start = jnp.zeros_like(choices[..., :1])
     inputs = jnp.concatenate([start, choices[..., :-1] + 1], axis=-1)
     return jax.nn.one_hot(inputs, num_choices + 1)
@@ -125,14 +167,15 @@ def draw_in_turn(
     greedy: bool = False,
     fixed: Sequence[int | None] | None = None,
 ) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
-    """Choose for one token after the other, each given the choices before it.
+    """Choose for one token after another, each given the choices before it.
 
     Args:
-        decode: logits of all tokens; those of token i depend on choices 0..i-1 only.
+        decode: maps choices to the logits of all tokens. Those of token i depend on choices
+            0..i-1 only.
         shape: (*batch, tokens).
-        key: of the draws.
-        greedy: whether to take the likeliest choice instead.
-        fixed: choices that are given, per token; None where there is one to make.
+        key: PRNG key of the draws.
+        greedy: if True, take the most likely choice instead of sampling.
+        fixed: choices that are given, per token; None where one must be made.
 
     Returns:
         Choices and their log-probabilities.

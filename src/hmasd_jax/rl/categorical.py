@@ -15,8 +15,8 @@ MASKED_LOGIT = -1e10
 def categorical(logits: Float[Array, "*batch choices"]) -> "Categorical":
     """Build a distrax distribution from logits.
 
-    distrax is imported at the first call: it takes as long to import as jax does, and neither
-    settings nor `--help` need it.
+    The first call imports distrax, which takes as long to import as jax and is needed neither for
+    settings nor for `--help`.
     """
     from distrax import Categorical
 

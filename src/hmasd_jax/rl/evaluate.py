@@ -14,7 +14,7 @@ def evaluate(env: Environment, policy: Policy, key: Key, num_episodes: int) -> M
 
     Returns:
         Means over the episodes: `return` (undiscounted), `length` in environment steps, and every
-        key of the environment's `info` at the episode's last step, e.g. `success`.
+        key of the environment's `info` at the last step of the episode, e.g. `success`.
     """
     transitions = play(env, policy, key, num_episodes)
     counted = first_episode(transitions)
@@ -31,7 +31,10 @@ def evaluate(env: Environment, policy: Policy, key: Key, num_episodes: int) -> M
 
 
 def play(env: Environment, policy: Policy, key: Key, num_episodes: int) -> Transition:
-    """Transitions (max_steps, num_episodes, ...); only `first_episode` of each copy is whole."""
+    """Return transitions (max_steps, num_episodes, ...) with one whole episode in each copy.
+
+    A copy that ends early begins another episode, which `first_episode` leaves out.
+    """
     key_reset, key_play = jax.random.split(key)
     carry = rollout.reset(env, key_reset, num_episodes)
     memory = policy.init((num_episodes,))
@@ -39,6 +42,6 @@ def play(env: Environment, policy: Policy, key: Key, num_episodes: int) -> Trans
 
 
 def first_episode(transitions: Transition) -> Array:
-    """True (T, E) at the steps of each copy's first episode, its last one included."""
+    """Mark the steps (T, E) of each copy's first episode, including its last step."""
     done = transitions.outcome.done
     return jnp.cumsum(done, axis=0) - done == 0

@@ -21,21 +21,22 @@ def gae(
     discount: float,
     gae_lambda: float,
 ) -> tuple[Float[Array, "T *batch"], Float[Array, "T *batch"]]:
-    """Advantages Â and targets R̂ = Â + V, by backward recursion.
+    """Compute advantages Â and targets R̂ = Â + V by backward recursion.
 
         δ_t = r_t + γ V'_t (1 - terminated_t) - V_t
         Â_t = δ_t + γ λ (1 - done_t) Â_{t+1}
 
-    `next_value` V'_t is the value of what step t led to, before any reset; where an episode was
-    cut by its time limit (`done` without `terminated`) it is bootstrapped from, but no advantage
+    `next_value` V'_t is the value of the state after step t, before any reset. Where a time limit
+    cut an episode (`done` without `terminated`), the target bootstraps from it, but no advantage
     flows back over the cut. To treat time limits as terminal, pass `terminated=done`. All values
     are in reward units (denormalized). Inputs broadcast against each other.
     """
     delta = reward + discount * next_value * (1.0 - terminated) - value
     carry_over = jnp.broadcast_to(discount * gae_lambda * (1.0 - done), delta.shape)
 
-    def backward(following, step):
-        advantage = step[0] + step[1] * following
+    def backward(next_advantage, step):
+        delta, carry_over = step
+        advantage = delta + carry_over * next_advantage
         return advantage, advantage
 
     _, advantage = jax.lax.scan(
@@ -53,16 +54,17 @@ def rollout_advantage(
     norm: ValueNorm,
     config: PPOConfig,
 ) -> tuple[Float[Array, "T E N"], Float[Array, "T E N"]]:
-    """Advantages and targets of every step of a rollout, by `gae`.
+    """Compute advantages and targets of every step of a rollout with `gae`.
 
     Args:
-        reward: in reward units.
-        value: of what was seen at each step; this and the other values in normalized units.
-        last_value: of what is seen after the last step.
-        outcome: (T, E, ...) what each step led to, before any reset.
-        value_of_outcome: computes the values of `outcome`, needed only with `bootstrap_truncation`.
-        norm: the critic's units.
-        config: discount, lambda, and whether time limits are bootstrapped from.
+        reward: rewards of the rollout, in reward units.
+        value: values at each step. All values are in normalized units.
+        last_value: values after the last step.
+        outcome: results (T, E, ...) of each step before any reset.
+        value_of_outcome: function that computes the values of `outcome`. It is called only with
+            `bootstrap_truncation`.
+        norm: units of the critic.
+        config: discount, lambda, and the treatment of time limits.
     """
     next_value, terminated = following(value, last_value), outcome.done
     if config.bootstrap_truncation:
@@ -86,9 +88,9 @@ def normalize_advantage(
 ) -> Float[Array, "*batch"]:
     """Shift and scale by mean and population standard deviation over all axes.
 
-    Matches on-policy `r_mappo.py`, which does it once per iteration, before the epochs, and takes
-    both from the agents that are `active`. Advantages that deviate by less than `floor` are divided
-    by `floor`, and so stay small.
+    This matches on-policy `r_mappo.py`, which normalizes once per iteration, before the epochs, by
+    statistics over the `active` agents. A deviation below `floor` is replaced by `floor`, so that
+    tiny advantages stay small.
     """
     deviation = advantage - masked_mean(advantage, active)
     scale = jnp.sqrt(masked_mean(deviation**2, active)) + 1e-5

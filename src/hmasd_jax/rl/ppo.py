@@ -19,14 +19,14 @@ class PPOConfig:
     rollout_length: int = 100
     """T, environment steps per copy between two updates ("episode length" of Table 2)."""
     learning_rate: float = 5e-4
-    """Adam's step size, for every network."""
+    """Step size of Adam for every network."""
     decay_updates: int = 0
-    """Updates (rollouts) over which the step size falls linearly to 0; 0 keeps it constant, as the
-    paper does."""
+    """Updates (rollouts) over which the step size falls linearly to 0. With 0 it stays constant, as
+    in the paper."""
     adam_epsilon: float = 1e-5
-    """Added to the denominator of Adam."""
+    """Constant added to the denominator of Adam."""
     max_grad_norm: float = 10.0
-    """Each network's gradient is scaled down to this norm."""
+    """Largest norm of each network's gradient. Larger gradients are scaled down to it."""
     num_epochs: int = 15
     """Passes over each rollout."""
     num_minibatches: int = 1
@@ -36,18 +36,18 @@ class PPOConfig:
     value_coef: float = 1.0
     """Weight of the value loss (lambda_c)."""
     huber_delta: float = 10.0
-    """Where the value loss turns from quadratic to linear, in normalized units."""
+    """Error at which the value loss turns from quadratic to linear, in normalized units."""
     discount: float = 0.99
     """gamma: per environment step for the low level, per segment for the high level."""
     gae_lambda: float = 0.95
     """lambda of GAE, at both levels."""
     bootstrap_truncation: bool = False
-    """Whether an episode cut by its time limit is bootstrapped from its last state. The paper's
-    code base counts time limits as terminal."""
+    """If True, an episode cut by its time limit is bootstrapped from its last state. The paper's
+    code base treats time limits as terminal."""
     hidden_size: int = 64
     """Width of every layer and of the recurrent memory."""
     sequence_length: int = 10
-    """Steps of backpropagation through time; rollouts are cut into sequences this long."""
+    """L, steps of backpropagation through time. Rollouts are cut into sequences of this length."""
 
     def __post_init__(self) -> None:
         counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches", "hidden_size")
@@ -65,11 +65,11 @@ class PPOConfig:
 
 
 def has_choice(action_mask: Bool[Array, "*batch N actions"]) -> Bool[Array, "*batch N"]:
-    """Whether an agent has more than one legal action: the active agents of on-policy.
+    """Mark agents with more than one legal action: the active agents of on-policy.
 
-    The dead have none but to do nothing. As the ratio of an only action is 1 whatever the
-    parameters, it has no policy gradient: leaving such steps out changes what means are taken over,
-    never what is learned from a step, even where a living agent has no choice.
+    The dead can only do nothing. The ratio of an only action is 1 for all parameters, so that it
+    has no policy gradient. Leaving such steps out changes the number that a mean divides by, never
+    the gradient of a step, even where a living agent has no choice.
     """
     return action_mask.sum(-1) > 1
 
@@ -77,7 +77,7 @@ def has_choice(action_mask: Bool[Array, "*batch N actions"]) -> Bool[Array, "*ba
 def masked_mean(
     x: Float[Array, "*batch"], active: Bool[Array, "*batch"] | None = None
 ) -> Float[Array, ""]:
-    """Mean over the entries that are active (0 if none is), or over all."""
+    """Average the active entries (0 if there are none), or all entries without a mask."""
     if active is None:
         return x.mean()
     return jnp.where(active, x, 0.0).sum() / jnp.maximum(active.sum(), 1)
@@ -129,15 +129,15 @@ def ppo_loss(
     """Eq. 5: L_PPO = L(theta) + lambda_c L(phi).
 
     Args:
-        log_prob: of the taken actions under the policy that learns.
+        log_prob: log-probabilities of the taken actions under the policy that learns.
         old_log_prob: the same under the policy that acted.
         advantage: normalized advantages.
-        value: of the critic that learns, in normalized units.
-        old_value: of the critic when acting, in normalized units.
-        target: returns in normalized units; the three broadcast against each other.
+        value: values of the critic that learns, in normalized units.
+        old_value: values of the critic when acting, in normalized units.
+        target: returns in normalized units. Values and returns broadcast against each other.
         config: clip range, value coefficient and Huber threshold.
-        active: what the policy loss is the mean over, if not all. The value loss is of all, as
-            in on-policy's scripts for SMAC: the dead still share the team's return.
+        active: entries that the policy loss averages, by default all. The value loss averages all
+            entries, like on-policy's scripts for SMAC: the dead still share the team's return.
 
     Returns:
         The loss, and its parts with the usual diagnostics (means over all axes).

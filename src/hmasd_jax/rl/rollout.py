@@ -1,4 +1,4 @@
-"""Stepping E environment copies, with auto-reset that keeps the true outcome."""
+"""Step E environment copies, with an auto-reset that keeps the true outcome."""
 
 import jax
 import jax.numpy as jnp
@@ -17,19 +17,25 @@ def reset(env: Environment, key: Key, num_envs: int) -> EnvCarry:
 def unroll(
     env: Environment, step_fn: StepFn, carry: EnvCarry, memory: Memory, key: Key, length: int
 ) -> tuple[EnvCarry, Memory, Transition]:
-    """Act for `length` steps in all copies; an ended episode is followed by a new one.
+    """Act for `length` steps in all copies. A new episode follows one that ended.
 
     Returns:
-        Where the copies stand afterwards, the policy's memory, and transitions (length, E, ...).
+        The copies after the last step, the policy's memory, and transitions (length, E, ...).
     """
 
     def act_and_step(loop, key):
         carry, memory = loop
         key_policy, key_env = jax.random.split(key)
         memory, action, extras = step_fn(memory, carry.timestep, carry.first, key_policy)
-        following, outcome = step(env, carry, action, key_env)
-        transition = Transition(carry.timestep, carry.first, action, extras, outcome)
-        return (following, memory), transition
+        next_carry, outcome = step(env, carry, action, key_env)
+        transition = Transition(
+            timestep=carry.timestep,
+            first=carry.first,
+            action=action,
+            extras=extras,
+            outcome=outcome,
+        )
+        return (next_carry, memory), transition
 
     (carry, memory), transitions = jax.lax.scan(
         act_and_step, (carry, memory), jax.random.split(key, length)
@@ -40,16 +46,16 @@ def unroll(
 def step(
     env: Environment, carry: EnvCarry, action: Int[Array, "E agents"], key: Key
 ) -> tuple[EnvCarry, TimeStep]:
-    """Step all copies; an ended episode is followed by a new one.
+    """Step all copies. A new episode follows one that ended.
 
     Returns:
-        Where the copies stand afterwards, reset if done, and the outcome before that.
+        The copies after the step, reset where done, and the outcome before the reset.
     """
     num_envs = action.shape[0]
     key_step, key_reset = jax.random.split(key)
     keys_step = jax.random.split(key_step, num_envs)
     env_state, outcome = jax.vmap(env.step)(keys_step, carry.env_state, action)
-    # Most steps end no episode, and need no reset prepared.
+    # Most steps end no episode and need no reset.
     env_state, timestep = jax.lax.cond(
         outcome.done.any(),
         lambda: _restart(env, key_reset, env_state, outcome),
@@ -61,15 +67,15 @@ def step(
 def _restart(
     env: Environment, key: Key, env_state: EnvState, timestep: TimeStep
 ) -> tuple[EnvState, TimeStep]:
-    """Begin new episodes in the copies that are done, a few at a time: seldom are many done."""
+    """Begin new episodes in the copies that are done, a few at a time, since rarely many are."""
     done = timestep.done
-    # As data: JAX's check for keys used twice cannot know that each is used in one batch only.
+    # Raw key data: JAX's check of key reuse cannot know that each key is used in one batch only.
     key_data = jax.random.key_data(jax.random.split(key, done.size))
     at_once = min(done.size, max(done.size // 32, 8))
-    ended = jnp.sort(jnp.where(done, jnp.arange(done.size), done.size))  # the others stand last
+    ended = jnp.sort(jnp.where(done, jnp.arange(done.size), done.size))  # others sort last
 
     def restart_batch(i, reached):
-        # At the end of `ended` it overlaps the batch before: the same copies restart alike twice.
+        # The last batch may overlap the one before: those copies restart twice, identically.
         batch = jax.lax.dynamic_slice_in_dim(ended, i * at_once, at_once)
         keys = jax.random.wrap_key_data(key_data[batch], impl=jax.random.key_impl(key))
         fresh = jax.vmap(env.reset)(keys)
@@ -81,7 +87,7 @@ def _restart(
 def following(
     x: Shaped[Array, "T *rest"], last: Shaped[Array, "*rest"]
 ) -> Shaped[Array, "T *rest"]:
-    """What follows each entry of `x` in time, given what follows the last."""
+    """Shift `x` by one step: each entry's successor in time, with `last` at the end."""
     return jnp.concatenate([x[1:], last[None]])
 
 
@@ -100,11 +106,12 @@ def cut(tree, length: int):
     return jax.tree.map(cut_array, tree)
 
 
-def episode_metrics(outcome: TimeStep) -> Metrics:
-    """Number of episodes that ended in a rollout (T, E, ...), and sums of their final `info`.
+def rollout_metrics(outcome: TimeStep) -> Metrics:
+    """Summarize a rollout (T, E, ...): mean reward, episodes that ended, sums of their last `info`.
 
-    Sums rather than means, so that logging can pool rollouts without weighing them wrongly.
+    Sums instead of means let logging pool rollouts with different numbers of episodes.
     """
     final = {k: jnp.where(outcome.done, v, 0.0).sum() for k, v in outcome.info.items()}
     sums = {f"episode_sum/{k}": v for k, v in final.items()}
-    return {"episodes": outcome.done.sum().astype(jnp.float32), **sums}
+    episodes = outcome.done.sum().astype(jnp.float32)
+    return {"team_reward": outcome.reward.mean(), "episodes": episodes, **sums}

@@ -1,4 +1,4 @@
-"""Optimization: one gradient step, and epochs of shuffled minibatches."""
+"""Gradient steps, and epochs of shuffled minibatches."""
 
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, TypeVar
@@ -22,12 +22,12 @@ LossFn = Callable[..., tuple[Float[Array, ""], Metrics]]
 def make_optimizer(
     config: PPOConfig, networks: Sequence[str], steps_per_update: int | None = None
 ) -> optax.GradientTransformation:
-    """Adam after clipping each network's gradient by its own norm.
+    """Build Adam that clips each network's gradient by its own norm first.
 
     Args:
         config: learning rate, Adam's epsilon and the norm to clip at.
-        networks: top-level names in the parameters; each is clipped apart from the others.
-        steps_per_update: gradient steps per rollout, for the schedule; those of PPO if None.
+        networks: top-level names in the parameters. Each is clipped separately.
+        steps_per_update: gradient steps per rollout, for the schedule. The default is that of PPO.
     """
     step_size: optax.ScalarOrSchedule = config.learning_rate
     if config.decay_updates:
@@ -35,7 +35,7 @@ def make_optimizer(
         step_size = optax.linear_schedule(
             config.learning_rate, 0.0, config.decay_updates * per_update
         )
-    # Each network's parameters as one vector: a quarter less for XLA to compile and to launch.
+    # One vector per network: XLA compiles and launches a quarter fewer kernels.
     each = optax.flatten(
         optax.chain(
             clip_by_norm(config.max_grad_norm),
@@ -47,9 +47,9 @@ def make_optimizer(
 
 
 def clip_by_norm(max_norm: float) -> optax.GradientTransformation:
-    """Optax's `clip_by_global_norm` for a vector, with its norm as a product.
+    """Clip a vector like optax's `clip_by_global_norm`, with the norm computed as a product.
 
-    XLA splits a sum into several programs on a CPU, which take longer to compile.
+    XLA splits a sum into several kernels on a CPU, which take longer to compile.
     """
 
     def clip(gradient, _params):
@@ -60,14 +60,14 @@ def clip_by_norm(max_norm: float) -> optax.GradientTransformation:
 
 
 def vector_norm(x: Float[Array, " size"]) -> Float[Array, ""]:
-    """Euclidean norm."""
+    """Return the Euclidean norm."""
     return jnp.sqrt(jnp.vdot(x, x, precision="highest"))
 
 
 def gradient_step(
     learner: Learner, optimizer: optax.GradientTransformation, loss_fn: LossFn, *args: Any
 ) -> tuple[Learner, Metrics]:
-    """One step down the gradient of `loss_fn(params, *args) -> (loss, metrics)`."""
+    """Take one step down the gradient of `loss_fn(params, *args) -> (loss, metrics)`."""
     grads, metrics = jax.grad(loss_fn, has_aux=True)(learner.params, *args)
     updates, opt_state = optimizer.update(grads, learner.opt_state, learner.params)
     norms = [vector_norm(ravel_pytree(grad)[0]) for grad in grads.values()]
@@ -87,10 +87,10 @@ def sgd_epochs(
 
     Args:
         step: `(carry, minibatch) -> (carry, metrics)`.
-        carry: what learns, e.g. a `Learner`.
+        carry: state that learns, e.g. a `Learner`.
         batch: arrays with samples on their first axis, a multiple of `num_minibatches`.
-        key: shuffles the samples anew in each epoch (with one minibatch, order has no effect
-            on a mean, so nothing is shuffled).
+        key: PRNG key that shuffles the samples in each epoch. One minibatch is not shuffled, since
+            order has no effect on a mean.
         num_epochs: passes over the batch.
         num_minibatches: steps per pass.
 
@@ -122,15 +122,15 @@ def ppo_epochs(
     key: Key,
     config: PPOConfig,
 ) -> tuple[Learner, ValueNorm, Metrics]:
-    """Epochs of PPO; each step first takes its targets into the value normalizer.
+    """Run the epochs of PPO. Each step first updates the value normalizer with its targets.
 
     Args:
-        optimizer: of the learner.
+        optimizer: optimizer of the learner.
         loss_fn: `(params, norm, minibatch) -> (loss, metrics)`.
         learner: actor and critic.
-        norm: of the critic's targets.
-        batch: arrays with samples on their first axis; `target` holds returns in reward units.
-        key: shuffles the samples.
+        norm: normalizer of the critic's targets.
+        batch: arrays with samples on their first axis. `target` holds returns in reward units.
+        key: PRNG key that shuffles the samples.
         config: number of epochs and of minibatches.
     """
 

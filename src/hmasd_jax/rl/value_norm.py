@@ -11,7 +11,7 @@ MIN_VARIANCE = 1e-2
 
 
 class ValueNorm(NamedTuple):
-    """Exponential averages of x, x^2 and of 1, the last to remove the bias towards zero."""
+    """Exponential averages of x, x^2 and 1. The last removes the bias towards zero."""
 
     mean: Float[Array, ""]
     square: Float[Array, ""]
@@ -19,30 +19,30 @@ class ValueNorm(NamedTuple):
 
     @classmethod
     def create(cls) -> "ValueNorm":
-        """Statistics before any data: mean 0, standard deviation 0.1."""
+        """Return the statistics before any data: mean 0, standard deviation 0.1."""
         return cls(jnp.float32(0), jnp.float32(0), jnp.float32(0))
 
 
 def update(norm: ValueNorm, target: Float[Array, "*batch"]) -> ValueNorm:
-    """Take in one batch of raw targets (on-policy `valuenorm.py`)."""
+    """Update the averages with one batch of raw targets (on-policy `valuenorm.py`)."""
     batch = (target.mean(), (target**2).mean(), 1.0)
     return ValueNorm(*(DECAY * old + (1.0 - DECAY) * new for old, new in zip(norm, batch)))
 
 
 def statistics(norm: ValueNorm) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Debiased mean and standard deviation, in reward units."""
+    """Return the debiased mean and standard deviation, in reward units."""
     weight = jnp.maximum(norm.weight, MIN_WEIGHT)
     mean, square = norm.mean / weight, norm.square / weight
     return mean, jnp.sqrt(jnp.maximum(square - mean**2, MIN_VARIANCE))
 
 
 def normalize(norm: ValueNorm, x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """From reward units to units of standard deviations."""
+    """Convert reward units to units of standard deviations."""
     mean, std = statistics(norm)
     return (x - mean) / std
 
 
 def denormalize(norm: ValueNorm, x: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
-    """From units of standard deviations to reward units."""
+    """Convert units of standard deviations to reward units."""
     mean, std = statistics(norm)
     return x * std + mean
