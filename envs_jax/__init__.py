@@ -1,4 +1,4 @@
-"""Multi-agent environments as pure JAX functions. Imports nothing of `hmasd_jax`."""
+"""Multi-agent environments as pure JAX functions. The package does not depend on `hmasd_jax`."""
 
 from envs_jax.adapters import MissingPackageError, from_jaxmarl, to_jaxmarl, to_pettingzoo
 from envs_jax.check import EnvironmentCheckError, check_environment

@@ -1,12 +1,12 @@
 """Alice_and_Bob: two agents, two buttons, two diamonds (paper Sec. 4.1, Figs. 4 and 9).
 
-The board is a 10x10 array with a wall border; positions are (row, col) in 1..8. A diamond is
-collected in a step after which an agent stands on the diamond while an agent stands on the
-button of the same color. The team is paid 1 once, when both diamonds are collected.
+The board is a 10x10 array with a border of walls, and positions are (row, col) in 1..8. A diamond
+is collected when, after a step, one agent stands on it and another agent stands on the button of
+the same color. The team receives a reward of 1 once, when both diamonds are collected.
 
-Follows the authors' game, except that a cell shared by two agents keeps showing the one who
-stays when the other leaves (theirs shows it empty until the next move; positions and rewards
-are the same).
+The rules follow the authors' game with one difference. When two agents share a cell and one of them
+leaves, this cell shows the agent that stays. In the authors' game it looks empty until the next
+move. Positions and rewards are the same.
 """
 
 from dataclasses import dataclass
@@ -17,19 +17,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.choices import check_choice
+from envs_jax.choices import check_choice, check_whole
 from envs_jax.types import TimeStep
 
 Observation = Literal["codes", "one_hot"]
 
-SIZE = 8  # interior cells per side
+SIZE = 8  # Interior cells per side.
 CELLS = SIZE * SIZE
-MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0), (0, 0)])  # col+1, col-1, row-1, row+1, stay
-BUTTONS = np.array([(1, 8), (1, 1)])  # red, blue
-DIAMONDS = np.array([(8, 1), (8, 8)])  # red, blue
+MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0), (0, 0)])  # Right, left, up, down, stay.
+BUTTONS = np.array([(1, 8), (1, 1)])  # Red, blue.
+DIAMONDS = np.array([(8, 1), (8, 8)])  # Red, blue.
 PATCH = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
 
-EMPTY, WALL, AGENT, BUTTON, DIAMOND = 0, 1, 2, 4, 6  # the last three: + index 0 or 1
+# Codes of cells. The last three are those of index 0; add 1 for index 1.
+EMPTY, WALL, AGENT, BUTTON, DIAMOND = 0, 1, 2, 4, 6
 BOARD = np.pad(np.full((SIZE, SIZE), EMPTY), 1, constant_values=WALL)
 BOARD[tuple(BUTTONS.T)] = (BUTTON, BUTTON + 1)
 
@@ -50,32 +51,36 @@ class AliceAndBobState(NamedTuple):
     position: Int[Array, "*batch 2 2"]
     """(row, col) of each agent, 1..8."""
     collected: Bool[Array, "*batch 2"]
-    """Whether the red and the blue diamond are collected."""
+    """True for each diamond, red and blue, that is collected."""
     time: Int[Array, "*batch"]
     """Steps taken."""
 
 
 @dataclass(frozen=True)
 class AliceAndBob:
-    """The game; see the module docstring for its rules.
+    """Alice_and_Bob as an environment; the module docstring states the rules.
+
+    Actions: 0 right, 1 left, 2 up, 3 down, 4 stay.
 
     Raises:
-        ValueError: `max_steps` is not positive, or `observation` is unknown.
+        ValueError: `max_steps` is not a positive whole number, or `observation` is unknown.
     """
 
     max_steps: int = 100
     """Time limit of an episode in environment steps."""
     observation: Observation = "codes"
-    """How obs and state are written down.
+    """Encoding of obs and state.
 
-    `codes` is the authors' form: obs (11) is the 3x3 patch of integer cell codes around the
-    agent and its (row, col); state (100) is the whole board of codes. Codes: 0 empty, 1 wall,
-    2/3 agent, 4/5 button, 6/7 diamond (red/blue). `one_hot` writes the same without an
-    arbitrary order between codes: obs (29) is own row (8), own column (8), own index (2),
-    where in the patch the partner is (9), and whether each diamond is visible in it (2);
-    state (34) is rows and columns of both agents and whether each diamond is collected. It tells
-    two things more than the codes, which show one thing per cell: whether the diamond under an
-    agent is collected (state), and which of two agents on one cell one is (obs).
+    `codes` is the authors' encoding. obs (11) is the 3x3 patch of integer cell codes around the
+    agent, followed by its (row, col). state (100) is the whole board of codes. Codes: 0 empty,
+    1 wall, 2/3 agent, 4/5 button, 6/7 diamond (red/blue).
+
+    `one_hot` encodes the same facts without an arbitrary order between codes. obs (29) is the
+    agent's row (8), column (8) and index (2), the place of the partner in the patch (9), and
+    visibility of each diamond in the patch (2). state (34) is the rows and columns of both agents,
+    and for each diamond whether it is collected. Codes show one thing per cell, so this encoding
+    contains two facts more: whether the diamond under an agent is collected (state), and which of
+    the two agents on a shared cell the observer is (obs).
     """
 
     num_agents: ClassVar[int] = 2
@@ -84,8 +89,7 @@ class AliceAndBob:
     agent_colors: ClassVar[tuple] = (COLORS["alice"], COLORS["bob"])
 
     def __post_init__(self) -> None:
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
+        check_whole("max_steps", self.max_steps)
         check_choice("observation", self.observation, Observation)
 
     @property
@@ -99,9 +103,9 @@ class AliceAndBob:
         return 100 if self.observation == "codes" else 34
 
     def reset(self, key: jax.Array) -> tuple[AliceAndBobState, TimeStep]:
-        """Place the agents on two distinct uniformly random cells; nothing is collected yet."""
-        # One draw among the ordered pairs: a choice without replacement sorts all cells, which
-        # cost 4-5 % of a whole training step where every copy prepares a reset at every step.
+        """Place the agents on two distinct uniformly random cells, with no diamond collected."""
+        # Draw one of the ordered pairs of cells. A choice without replacement sorts all cells, and
+        # took 4-5 % of a training step in which every copy prepares a reset at every step.
         first, second = jnp.divmod(jax.random.randint(key, (), 0, CELLS * (CELLS - 1)), CELLS - 1)
         cells = jnp.stack([first, second + (second >= first)])
         position = jnp.stack([cells // SIZE, cells % SIZE], axis=-1) + 1
@@ -111,7 +115,7 @@ class AliceAndBob:
     def step(
         self, key: jax.Array, env_state: AliceAndBobState, action: Int[Array, " agents"]
     ) -> tuple[AliceAndBobState, TimeStep]:
-        """Move both agents (walls block, agents do not), then collect. `key` is not used."""
+        """Move both agents, then collect. Walls block, agents do not. `key` is not used."""
         del key
         position = jnp.clip(env_state.position + jnp.asarray(MOVES)[action], 1, SIZE)
         pressed = _occupied(position, BUTTONS)
@@ -138,7 +142,7 @@ class AliceAndBob:
         )
 
     def render(self, env_state: AliceAndBobState) -> np.ndarray:
-        """Draw the board: buttons as squares, diamonds as rhombi, Alice and Bob as discs."""
+        """Draw the board, with buttons as squares, diamonds as rhombi and agents as discs."""
         scale = 32
         board = np.array(BOARD)
         cells = np.where((board == WALL)[..., None], COLORS["wall"], COLORS["floor"])
@@ -161,16 +165,16 @@ class AliceAndBob:
 
 
 def _occupied(position: Int[Array, "2 2"], cells: np.ndarray) -> Bool[Array, " cells"]:
-    """Which of `cells` has an agent on it."""
+    """Return for each of `cells` whether an agent stands on it."""
     return (position[:, None] == cells).all(-1).any(0)
 
 
 def _observe_codes(state: AliceAndBobState) -> tuple[Array, Array]:
-    """Patches of raw cell codes with own (row, col), and the whole board of codes."""
+    """Encode each agent's patch and (row, col), and the whole board, as integer codes."""
     board = jnp.asarray(BOARD)
     diamond_codes = jnp.where(state.collected, EMPTY, DIAMOND + np.arange(2))
     board = board.at[tuple(DIAMONDS.T)].set(diamond_codes)
-    for agent in range(2):  # the later agent is drawn on top
+    for agent in range(2):  # On a shared cell agent 1 hides agent 0.
         board = board.at[tuple(state.position[agent])].set(AGENT + agent)
     around = state.position[:, None] + PATCH  # (agents, 9, 2)
     patch = board[around[..., 0], around[..., 1]]
@@ -179,7 +183,7 @@ def _observe_codes(state: AliceAndBobState) -> tuple[Array, Array]:
 
 
 def _observe_one_hot(state: AliceAndBobState) -> tuple[Array, Array]:
-    """The facts of `_observe_codes` as indicators."""
+    """Encode the facts of `_observe_codes` as indicators."""
     places = jax.nn.one_hot(state.position - 1, SIZE).reshape(2, 2 * SIZE)
     partner = state.position[::-1, None] - state.position[:, None]  # (agents, 1, 2)
     near = (partner == PATCH).all(-1)
@@ -192,7 +196,7 @@ def _observe_one_hot(state: AliceAndBobState) -> tuple[Array, Array]:
 
 
 def _paint(image: np.ndarray, cell: np.ndarray, mask: np.ndarray, color: tuple) -> None:
-    """Color the pixels of `cell` where `mask` (side, side) is true."""
+    """Color those pixels of `cell` at which `mask` (side, side) is true."""
     side = len(mask)
     row, col = (int(c) * side for c in cell)
     image[row : row + side, col : col + side][mask] = color

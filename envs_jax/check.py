@@ -1,4 +1,4 @@
-"""Whether an environment keeps the promises of `types.Environment`, for users' own ones too."""
+"""Check that an environment conforms to `types.Environment`. Use it for your own environments."""
 
 from collections.abc import Callable
 from typing import Any
@@ -16,22 +16,23 @@ METHODS = ("reset", "step", "render")
 
 
 class EnvironmentCheckError(AssertionError):
-    """An environment does not do what the protocol promises."""
+    """An environment violates the `Environment` protocol."""
 
 
 def check_environment(
     env: Environment, key: jax.Array | None = None, num_steps: int | None = None
 ) -> None:
-    """Check everything that `Environment` and `TimeStep` promise, by playing random legal actions.
+    """Check that an environment conforms to `Environment` and `TimeStep`, by random legal actions.
 
     Args:
-        env: the environment, e.g. your own.
-        key: randomness of the episodes played; by default always the same.
-        num_steps: steps to play in each of 16 episodes; by default `env.max_steps`. With fewer
-            the time limit is not checked.
+        env: Environment to check.
+        key: Random key of the episodes played; by default always the same one.
+        num_steps: Steps to play in each of 16 episodes; by default `env.max_steps`. With fewer
+            steps the time limit is not checked.
 
     Raises:
-        EnvironmentCheckError: the first promise not kept, and what was found instead.
+        EnvironmentCheckError: A requirement is not met. The message names the first such
+            requirement and what was found instead.
     """
     key_types, key_transforms, key_play, key_render = jax.random.split(
         jax.random.key(0) if key is None else key, 4
@@ -43,13 +44,13 @@ def check_environment(
     _check_render(env, key_render)
 
 
-def _require(kept: Any, env: Environment, promise: str, found: Any) -> None:
-    if not kept:
-        raise EnvironmentCheckError(f"{type(env).__name__}: {promise}; found {found}")
+def _require(met: Any, env: Environment, requirement: str, found: Any) -> None:
+    if not met:
+        raise EnvironmentCheckError(f"{type(env).__name__}: {requirement}; found {found}")
 
 
 def _check_attributes(env: Environment) -> None:
-    """Sizes are positive ints, methods exist, and the whole is a frozen, hashable dataclass."""
+    """Check for positive int sizes, for the methods, and for a frozen, hashable dataclass."""
     for name in SIZES:
         size = getattr(env, name, None)
         _require(type(size) is int and size > 0, env, f"{name} must be an int above 0", repr(size))
@@ -58,19 +59,19 @@ def _check_attributes(env: Environment) -> None:
         _require(callable(method), env, f"it must have a method {name}", repr(method))
     params = getattr(env, "__dataclass_params__", None)
     frozen = params is not None and params.frozen
-    kind = "one that is not frozen" if params is not None else "no dataclass"
+    kind = "a dataclass that is not frozen" if params is not None else "no dataclass"
     _require(frozen, env, "it must be a frozen dataclass", kind)
     try:
         hash(env)
     except TypeError as error:
-        promise = "it must be hashable, so its fields hold no arrays, lists or dicts"
-        _require(False, env, promise, error)
+        requirement = "it must be hashable, so its fields must not hold arrays, lists or dicts"
+        _require(False, env, requirement, error)
 
 
 def _check_types(env: Environment, key: jax.Array) -> None:
-    """Shapes and dtypes, the same at `reset` and after every `step`.
+    """Check that shapes and dtypes are right, and equal at `reset` and after every `step`.
 
-    From this follows that `step` compiles once and runs inside `jax.lax.scan`.
+    It follows that `step` compiles once and can run inside `jax.lax.scan`.
     """
     action = jax.ShapeDtypeStruct((env.num_agents,), jnp.int32)
     at_reset = _output_types(env, "reset", env.reset, key)
@@ -78,32 +79,32 @@ def _check_types(env: Environment, key: jax.Array) -> None:
     for name, (_, timestep) in (("reset", at_reset), ("step", at_step)):
         _check_timestep_types(env, name, timestep)
     keys_at_reset, keys_at_step = sorted(at_reset[1].info), sorted(at_step[1].info)
-    promise = f"info must have the keys of reset, {keys_at_reset}, after a step too"
-    _require(keys_at_reset == keys_at_step, env, promise, keys_at_step)
+    requirement = f"info must have the same keys after a step as at reset, {keys_at_reset}"
+    _require(keys_at_reset == keys_at_step, env, requirement, keys_at_step)
     structures = [jax.tree.structure(output[0]) for output in (at_reset, at_step)]
-    promise = f"step must keep the structure of env_state, {structures[0]}"
-    _require(structures[0] == structures[1], env, promise, structures[1])
+    requirement = f"step must keep the structure of env_state, {structures[0]}"
+    _require(structures[0] == structures[1], env, requirement, structures[1])
 
     named = [_by_path(*output) for output in (at_reset, at_step)]
     for path, before in named[0].items():
         after = named[1][path]
         for name, leaf in (("reset", before), ("step", after)):
-            promise = (
-                f"{path} of {name} must have a dtype of its own, as jnp.float32(0) has and a bare "
-                "Python number has not"
+            requirement = (
+                f"{path} of {name} must have a fixed dtype (write jnp.float32(0) instead of a "
+                "Python number)"
             )
-            _require(not leaf.weak_type, env, promise, _describe(leaf))
-        promise = f"step must keep {path} as reset made it, {_describe(before)}"
-        _require(_describe(before) == _describe(after), env, promise, _describe(after))
+            _require(not leaf.weak_type, env, requirement, _describe(leaf))
+        requirement = f"{path} of step must have the dtype and shape of reset, {_describe(before)}"
+        _require(_describe(before) == _describe(after), env, requirement, _describe(after))
 
 
 def _output_types(
     env: Environment, name: str, function: Callable, *args: Any
 ) -> tuple[EnvState, TimeStep]:
-    """Trace `function`, as every transform of JAX does."""
+    """Trace `function` and return the shapes and dtypes of its output."""
     try:
         output = jax.eval_shape(function, *args)
-    except (TypeError, IndexError) as error:  # what tracing errors derive from
+    except (TypeError, IndexError) as error:  # Base classes of JAX's tracing errors.
         reason = str(error).strip().split("\n")[0]
         raise EnvironmentCheckError(
             f"{type(env).__name__}: {name} must run under jax.jit; found {reason}"
@@ -115,7 +116,7 @@ def _output_types(
 
 
 def _check_timestep_types(env: Environment, name: str, timestep: TimeStep) -> None:
-    """Each field of a `TimeStep` against its annotation."""
+    """Check shapes and dtypes of a `TimeStep`."""
     agents = env.num_agents
     expected = {
         "obs": jax.ShapeDtypeStruct((agents, env.obs_dim), jnp.float32),
@@ -127,11 +128,11 @@ def _check_timestep_types(env: Environment, name: str, timestep: TimeStep) -> No
     }
     for field, leaf in expected.items():
         found = _describe(getattr(timestep, field))
-        promise = f"{field} of {name} must be {_describe(leaf)}"
-        _require(found.removesuffix(" (weak)") == _describe(leaf), env, promise, found)
+        requirement = f"{field} of {name} must be {_describe(leaf)}"
+        _require(found.removesuffix(" (weak)") == _describe(leaf), env, requirement, found)
     info = timestep.info
     is_dict = isinstance(info, dict) and all(isinstance(name, str) for name in info)
-    _require(is_dict, env, f"info of {name} must be a dict with names as keys", info)
+    _require(is_dict, env, f"info of {name} must be a dict with strings as keys", info)
     for field, leaf in info.items():
         is_scalar = getattr(leaf, "shape", None) == ()
         _require(is_scalar, env, f"info[{field!r}] of {name} must be a scalar", _describe(leaf))
@@ -144,41 +145,43 @@ def _describe(leaf: Any) -> str:
 
 
 def _by_path(env_state: EnvState, timestep: TimeStep) -> dict[str, Any]:
-    """Leaves under the names that a reader would write."""
+    """Return the leaves by path, e.g. "timestep.info['success']"."""
     tree = {"env_state": env_state, "timestep": timestep}
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     return {path[0].key + jax.tree_util.keystr(path[1:]): leaf for path, leaf in leaves}
 
 
 def _check_transforms(env: Environment, key: jax.Array) -> None:
-    """Same key, same result; under `jit` and `vmap` the same as without."""
+    """Check that equal keys give equal results, and that `jit` and `vmap` do not change them."""
 
-    def begin(key: jax.Array) -> dict[str, tuple[EnvState, TimeStep]]:
+    def first_step(key: jax.Array) -> dict[str, tuple[EnvState, TimeStep]]:
         key_reset, key_action, key_step = jax.random.split(key, 3)
         env_state, timestep = env.reset(key_reset)
         action = _random_action(key_action, timestep.action_mask)
         return {"reset": (env_state, timestep), "step": env.step(key_step, env_state, action)}
 
     keys = jax.random.split(key, 2)
-    single = [begin(key) for key in keys]
-    batched = jax.jit(jax.vmap(begin))(keys)
-    again = "a second call with the same key must repeat the first"
-    _require_equal(env, again, single[0], begin(keys[0]))
-    _require_equal(env, "jax.jit must not change the result", single[0], jax.jit(begin)(keys[0]))
+    single = [first_step(key) for key in keys]
+    batched = jax.jit(jax.vmap(first_step))(keys)
+    requirement = "a second call with the same key must return the same as the first"
+    _require_equal(env, requirement, single[0], first_step(keys[0]))
+    _require_equal(
+        env, "jax.jit must not change the result", single[0], jax.jit(first_step)(keys[0])
+    )
     for copy in range(2):
         one_of_batch = jax.tree.map(lambda x, copy=copy: x[copy], batched)
-        promise = "jax.vmap must give what single calls give"
-        _require_equal(env, promise, single[copy], one_of_batch)
+        requirement = "jax.vmap must return the same as single calls"
+        _require_equal(env, requirement, single[copy], one_of_batch)
 
 
-def _require_equal(env: Environment, promise: str, expected: dict, got: dict) -> None:
-    """Compare outputs of `reset` and `step`, up to rounding."""
+def _require_equal(env: Environment, requirement: str, expected: dict, got: dict) -> None:
+    """Compare outputs of `reset` and `step` up to rounding."""
     for name, output in expected.items():
         got_leaves = _by_path(*got[name])
         for path, leaf in _by_path(*output).items():
             a, b = _to_numpy(leaf), _to_numpy(got_leaves[path])
             same = np.allclose(a, b, rtol=1e-4, atol=1e-5, equal_nan=True)
-            _require(same, env, f"{promise}: {path} of {name} is {a.tolist()}", b.tolist())
+            _require(same, env, f"{requirement}: {path} of {name} is {a.tolist()}", b.tolist())
 
 
 def _to_numpy(leaf: Any) -> np.ndarray:
@@ -191,7 +194,7 @@ def _random_action(key: jax.Array, mask: Bool[Array, "agents actions"]) -> Int[A
 
 
 def _check_episodes(env: Environment, key: jax.Array, num_steps: int) -> None:
-    """What holds at every step of an episode, and that it ends in time."""
+    """Check what must hold at every step of an episode, and that episodes end in time."""
     start, steps = jax.tree.map(
         np.asarray, jax.jit(_play, static_argnums=(0, 2))(env, key, num_steps)
     )
@@ -199,15 +202,16 @@ def _check_episodes(env: Environment, key: jax.Array, num_steps: int) -> None:
         value = getattr(start, field)
         _require(not value.any(), env, f"{field} must be 0 or False at reset", value.max())
 
-    # (time, episodes): true up to and including each episode's last step; time 0 is the reset.
+    # Time 0 is the reset.
     timesteps = jax.tree.map(lambda a, b: np.concatenate([a[None], b]), start, steps)
     done = timesteps.terminated | timesteps.truncated
+    # (time, episodes): True up to and including the last step of each episode.
     inside = np.cumsum(done, axis=0) - done == 0
 
-    def always(holds: np.ndarray, promise: str, found: str) -> None:
+    def always(holds: np.ndarray, requirement: str, found: str) -> None:
         broken = inside & ~holds.reshape(*inside.shape, -1).all(-1)
         time = broken.any(1).argmax()
-        _require(not broken.any(), env, promise, f"{found} at step {time} of an episode")
+        _require(not broken.any(), env, requirement, f"{found} at step {time} of an episode")
 
     always(timesteps.action_mask.any(-1), "each agent must always have a legal action", "none")
     never_both = ~(timesteps.terminated & timesteps.truncated)
@@ -216,12 +220,16 @@ def _check_episodes(env: Environment, key: jax.Array, num_steps: int) -> None:
         always(np.isfinite(leaf), f"{path} must be finite", "nan or infinity")
     if num_steps >= env.max_steps:
         late = ~done[: env.max_steps + 1].any(0)
-        promise = f"every episode must be over (terminated or truncated) by step {env.max_steps}"
-        _require(not late.any(), env, promise, f"{late.sum()} of {NUM_EPISODES} that went on")
+        requirement = f"every episode must end (terminated or truncated) by step {env.max_steps}"
+        _require(not late.any(), env, requirement, f"{late.sum()} of {NUM_EPISODES} that went on")
 
 
 def _play(env: Environment, key: jax.Array, num_steps: int) -> tuple[TimeStep, TimeStep]:
-    """Time steps of `NUM_EPISODES` random episodes: at reset, and (num_steps, ...) after it."""
+    """Play `NUM_EPISODES` random episodes.
+
+    Returns:
+        Time steps at reset, (episodes, ...), and after it, (num_steps, episodes, ...).
+    """
     key_reset, key_play = jax.random.split(key)
     env_state, start = jax.vmap(env.reset)(jax.random.split(key_reset, NUM_EPISODES))
 
@@ -238,7 +246,7 @@ def _play(env: Environment, key: jax.Array, num_steps: int) -> tuple[TimeStep, T
 
 
 def _check_render(env: Environment, key: jax.Array) -> None:
-    """A frame of an unbatched state is a color image."""
+    """Check that `render` draws an unbatched state as a color image."""
     image = env.render(env.reset(key)[0])
     is_image = isinstance(image, np.ndarray) and image.dtype == np.uint8
     is_image = is_image and image.ndim == 3 and image.shape[-1] == 3 and image.size > 0

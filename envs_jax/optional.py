@@ -1,28 +1,28 @@
-"""Packages that only the adapters need."""
+"""Import of optional packages, which only the adapters need."""
 
 import importlib
 from types import ModuleType
 
 
 class MissingPackageError(ImportError, ValueError):
-    """An optional package is not installed; the message is one line with the remedy."""
+    """An optional package is not installed. The message is one line that names the remedy."""
 
 
 def require(package: str, extra: str, purpose: str) -> ModuleType:
     """Import an optional package.
 
     Args:
-        package: name to import.
-        extra: extra of this project that installs it.
-        purpose: what needs it, the beginning of the message.
+        package: Name to import.
+        extra: Extra of this project that installs the package.
+        purpose: Caller that needs the package, the first words of the error message.
 
     Raises:
-        MissingPackageError: it is not installed.
+        MissingPackageError: The package is not installed.
     """
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError as error:
-        if error.name != package:  # installed, and one of its own is missing
+        if error.name != package:  # It is installed, but one of its dependencies is not.
             raise
         raise MissingPackageError(
             f"{purpose} needs the package {package}: pip install 'hmasd-jax[{extra}]'"

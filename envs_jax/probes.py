@@ -1,15 +1,17 @@
-"""Probes: tiny tasks with known answers, each of which fails for one reason.
+"""Probes: tiny tasks with known answers, each of which tests one part of a learner.
 
-After andyljones.com/rl-debugging, for cooperating agents and two levels. When training goes wrong
-try them in the order of this file: each needs what those before it test, and one thing more. All
-have two agents and two actions; learn from the team reward alone (in HMASD: `extrinsic_coef=1`,
-both intrinsic coefficients 0), but the last two, which need skills, as HMASD does by default: the
-low level from intrinsic rewards, the high level from the team reward.
+The idea is that of andyljones.com/rl-debugging, extended to cooperating agents and two levels. When
+training goes wrong, try the probes in the order of this file: each needs everything that the
+earlier ones test, and one thing more. All have two agents and two actions.
+
+Train on the team reward alone (in HMASD: `extrinsic_coef=1` and both intrinsic coefficients 0). The
+last two probes need skills: train them as HMASD does by default, with intrinsic rewards for the low
+level and the team reward for the high level.
 
 An agent observes four pairs of indicators: its cue, its own index, its last action, and whether
-the episode is at its first or at its last step. A pair is (0, 0) where a probe hides that fact.
-Facts are pairs, not numbers, because networks that begin with a LayerNorm do not see an input's
-scale. The global state is both observations and then both cues, hidden or not.
+the episode is at its first or at its last step. A pair is (0, 0) if the probe hides this fact.
+Facts are pairs instead of numbers because a network that begins with a LayerNorm does not see the
+scale of its input. The global state contains both observations, then both cues, hidden or not.
 """
 
 from dataclasses import dataclass
@@ -20,28 +22,29 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
+from envs_jax.choices import check_whole
 from envs_jax.types import TimeStep
 
 NO_ACTION = -1
 
 
 class ProbeState(NamedTuple):
-    """Simulator state of all probes."""
+    """Simulator state of a probe."""
 
     cue: Int[Array, "*batch 2"]
-    """What the episode is about, 0 or 1 for each agent."""
+    """Cue of each agent, 0 or 1, drawn at reset."""
     action: Int[Array, "*batch 2"]
-    """Last action of each agent, -1 at reset."""
+    """Last action of each agent; -1 at reset."""
     time: Int[Array, "*batch"]
     """Steps taken."""
 
 
 @dataclass(frozen=True)
 class Probe:
-    """What the probes share; a probe overrides its cue, its reward and what it hides.
+    """Base class of the probes. A subclass defines the cue, the reward and the hidden facts.
 
     Raises:
-        ValueError: `max_steps` is below the least that the probe makes sense with.
+        ValueError: `max_steps` is below `min_steps`.
     """
 
     max_steps: int = 1
@@ -52,29 +55,30 @@ class Probe:
     obs_dim: ClassVar[int] = 8
     state_dim: ClassVar[int] = 2 * 8 + 2 * 2
     min_steps: ClassVar[int] = 1
+    """Length below which the probe makes no sense."""
     shows_index: ClassVar[bool] = True
+    """If True, agents observe their own index."""
     ends_by_time_limit: ClassVar[bool] = False
-    """Whether the end is `truncated` rather than `terminated`."""
+    """If True, the end of an episode is `truncated` instead of `terminated`."""
 
     def __post_init__(self) -> None:
-        if self.max_steps < self.min_steps:
-            raise ValueError(f"max_steps must be at least {self.min_steps}, got {self.max_steps}")
+        check_whole("max_steps", self.max_steps, self.min_steps)
 
     def reset(self, key: jax.Array) -> tuple[ProbeState, TimeStep]:
-        """Draw the cues."""
+        """Start an episode with newly drawn cues."""
         state = ProbeState(self._cue(key), jnp.full(2, NO_ACTION, jnp.int32), jnp.int32(0))
         return state, self._timestep(state, jnp.float32(0))
 
     def step(
         self, key: jax.Array, env_state: ProbeState, action: Int[Array, " agents"]
     ) -> tuple[ProbeState, TimeStep]:
-        """Pay for `action`. `key` is not used."""
+        """Advance one step and reward `action`. `key` is not used."""
         del key
         state = ProbeState(env_state.cue, action.astype(jnp.int32), env_state.time + 1)
         return state, self._timestep(state, jnp.float32(self._reward(state)))
 
     def render(self, env_state: ProbeState) -> np.ndarray:
-        """Draw a row per agent: cue and last action, dark for 0 and light for 1, then the time."""
+        """Draw cue and last action (dark 0, light 1) in a row per agent, and a bar for the time."""
         scale, shades = 24, np.array([(70, 70, 90), (235, 200, 90), (160, 160, 160)], np.uint8)
         facts = np.stack([np.asarray(env_state.cue), np.asarray(env_state.action)], axis=1)
         image = shades[facts].repeat(scale, 0).repeat(scale, 1)
@@ -99,7 +103,7 @@ class Probe:
     def _observe(self, state: ProbeState) -> Float[Array, "2 8"]:
         cue = jax.nn.one_hot(state.cue, 2) * self._shows_cue(state)
         index = jnp.eye(2) * self.shows_index
-        action = jax.nn.one_hot(state.action, 2)  # of -1: zeros
+        action = jax.nn.one_hot(state.action, 2)  # Zeros at reset, for -1.
         phase = jnp.stack([state.time == 0, state.time == self.max_steps - 1])
         return jnp.concatenate([cue, index, action, jnp.tile(phase, (2, 1))], axis=1)
 
@@ -116,15 +120,15 @@ class Probe:
         return jnp.ones((2, 2), bool)
 
     def _reward(self, state: ProbeState) -> Array | float:
-        """Team reward of the step that led to `state`."""
+        """Return the team reward of the step that led to `state`."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
 class ConstantReward(Probe):
-    """One step, reward 1. Answer: value 1.
+    """One step with reward 1. Answer: value 1.
 
-    Failure: the value loss, its targets, the value normalizer or the critic's optimizer.
+    Failure points to the value loss, its targets, the value normalizer or the critic's optimizer.
     """
 
     def _reward(self, state: ProbeState) -> float:
@@ -133,10 +137,10 @@ class ConstantReward(Probe):
 
 @dataclass(frozen=True)
 class ObservedReward(Probe):
-    """One step, reward +1 or -1 as the common cue says. Answer: value = cue.
+    """One step with reward +1 if the common cue is 1, else -1. Answer: value = reward.
 
-    Failure, if `ConstantReward` works: the critic does not see the state it is trained for
-    (copies or steps mixed up when batching, memory not reset).
+    Failure after success at `ConstantReward` means that the critic does not see the state it is
+    trained for: batching mixes up copies or steps, or the memory is not reset.
     """
 
     def _cue(self, key: jax.Array) -> Int[Array, "2"]:
@@ -148,9 +152,10 @@ class ObservedReward(Probe):
 
 @dataclass(frozen=True)
 class DelayedReward(Probe):
-    """Reward 1 at the last step only. Answer: value discount^(steps to come), at last 1.
+    """Reward 1 at the last step only.
 
-    Failure: discounting, advantage estimation, or `done` shifted by one step.
+    Answer: value discount^(max_steps - 1 - time), so 1 at the last step.
+    Failure points to discounting, to advantage estimation, or to a `done` shifted by one step.
     """
 
     max_steps: int = 2
@@ -164,10 +169,10 @@ class DelayedReward(Probe):
 class TimeLimit(Probe):
     """Reward 1 at every step until the time limit cuts the episode.
 
-    Answer: value 1 / (1 - discount) at every step if time limits are bootstrapped from, and
-    1 + discount + .. over the steps to come if they count as the end.
-    Failure: `truncated` taken for `terminated` or the reverse, or a bootstrap from the next
-    episode's first state.
+    Answer: value 1 / (1 - discount) at every step if the learner bootstraps at time limits, and
+    1 + discount + ..., one term per step left, if it treats them as the end.
+    Failure means that `truncated` and `terminated` are confused, or that the learner bootstraps
+    from the first state of the next episode.
     """
 
     max_steps: int = 2
@@ -179,9 +184,9 @@ class TimeLimit(Probe):
 
 @dataclass(frozen=True)
 class LegalAction(Probe):
-    """One step; each agent has one legal action, drawn anew. Answer: return 1 without learning.
+    """One step with one random legal action per agent. Answer: return 1 without learning.
 
-    Failure: the action mask does not reach the policy, when acting or when training.
+    Failure means that the action mask does not reach the policy, in acting or in training.
     """
 
     def _cue(self, key: jax.Array) -> Int[Array, "2"]:
@@ -196,9 +201,9 @@ class LegalAction(Probe):
 
 @dataclass(frozen=True)
 class OwnAction(Probe):
-    """One step; agent i is paid for action i. Answer: return 1, at random 1/2.
+    """One step that rewards agent i for action i. Answer: return 1; random actions return 1/2.
 
-    Failure: the sign or the clipping of the policy loss, or agents mixed up.
+    Failure points to the sign or the clipping of the policy loss, or to mixed-up agents.
     """
 
     def _reward(self, state: ProbeState) -> Array:
@@ -207,10 +212,11 @@ class OwnAction(Probe):
 
 @dataclass(frozen=True)
 class MatchCue(Probe):
-    """One step; each agent is paid for naming its own cue. Answer: return 1, at random 1/2.
+    """One step that rewards each agent for the action equal to its cue.
 
-    Failure, if `OwnAction` works: actions, observations and advantages of different copies,
-    agents or steps meet in the loss.
+    Answer: return 1; random actions return 1/2.
+    Failure after success at `OwnAction` means that the loss combines actions, observations and
+    advantages of different copies, agents or steps.
     """
 
     def _cue(self, key: jax.Array) -> Int[Array, "2"]:
@@ -221,55 +227,45 @@ class MatchCue(Probe):
 
 
 @dataclass(frozen=True)
-class RememberCue(Probe):
-    """As `MatchCue`, but the cue is shown at the first step and asked for at the last.
+class RememberCue(MatchCue):
+    """`MatchCue` with the cue shown at the first step and rewarded at the last.
 
-    Answer: return 1, without memory 1/2.
-    Failure: the recurrent memory is lost between steps, not reset between episodes, or replayed
-    in training from another beginning than it had when acting.
+    Answer: return 1; without memory 1/2.
+    Failure means that the recurrent memory is lost between steps, is not reset between episodes, or
+    starts from a different carry in training than it did in acting.
     """
 
     max_steps: int = 5
     min_steps: ClassVar[int] = 2
 
-    def _cue(self, key: jax.Array) -> Int[Array, "2"]:
-        return _coins(key)
-
     def _shows_cue(self, state: ProbeState) -> Bool[Array, ""]:
         return state.time == 0
 
     def _reward(self, state: ProbeState) -> Array:
-        return (state.action == state.cue).mean() * (state.time == self.max_steps)
+        return super()._reward(state) * (state.time == self.max_steps)
 
 
 @dataclass(frozen=True)
-class HiddenCue(Probe):
-    """As `MatchCue`, but only the global state shows the cues.
+class HiddenCue(MatchCue):
+    """`MatchCue` for several steps, with cues that only the global state shows.
 
-    Answer: return 1 if something that sees the state (a coordinator) tells the agents what to do,
-    else 1/2.
-    Failure: skills do not depend on the state, or actions do not depend on skills.
+    Answer: reward 1 per step if a coordinator that sees the state instructs the agents, else 1/2.
+    Failure means that skills do not depend on the state, or actions do not depend on skills.
     """
 
     max_steps: int = 4
 
-    def _cue(self, key: jax.Array) -> Int[Array, "2"]:
-        return _coins(key)
-
     def _shows_cue(self, state: ProbeState) -> bool:
         return False
-
-    def _reward(self, state: ProbeState) -> Array:
-        return (state.action == state.cue).mean()
 
 
 @dataclass(frozen=True)
 class DifferentActions(Probe):
-    """Every step pays 1 if the agents, which nothing tells apart, choose different actions.
+    """Reward 1 per step if the agents, whose observations are equal, choose different actions.
 
-    Answer: 1 a step if roles are assigned one after the other. Agents that act alike but
-    independently get at most 1/2, and so does a coordinator that draws skills independently.
-    Failure: skill i does not depend on the skills before it.
+    Answer: reward 1 per step if skills are assigned one after the other. Independent agents with
+    equal policies get at most 1/2, and so does a coordinator that draws skills independently.
+    Failure means that skill i does not depend on the skills before it.
     """
 
     max_steps: int = 4
@@ -280,7 +276,7 @@ class DifferentActions(Probe):
 
 
 def _coins(key: jax.Array) -> Int[Array, "2"]:
-    """An independent fair coin for each agent."""
+    """Toss an independent fair coin for each agent."""
     return jax.random.bernoulli(key, shape=(2,)).astype(jnp.int32)
 
 

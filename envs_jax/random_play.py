@@ -1,4 +1,4 @@
-"""Uniformly random play, the floor that every learner is measured against."""
+"""Uniformly random play, the baseline that every learner has to beat."""
 
 import jax
 import jax.numpy as jnp
@@ -8,9 +8,9 @@ from jaxtyping import Array, Bool, Int
 def random_actions(
     key: jax.Array, action_mask: Bool[Array, "*batch agents actions"]
 ) -> Int[Array, "*batch agents"]:
-    """Draw a legal action for every agent, each as likely as the others."""
-    # The action with n legal ones before it, n uniform: one random number per agent, where a
-    # categorical draw takes one per action.
+    """Draw a legal action for every agent, uniformly over its legal actions."""
+    # Draw n uniformly and take the action that has n legal actions before it. This needs one
+    # random number per agent, whereas a categorical draw needs one per action.
     legal = jnp.cumsum(action_mask, axis=-1)
     before = jnp.floor(jax.random.uniform(key, legal.shape[:-1]) * legal[..., -1])
     return (legal <= before[..., None]).sum(-1)

@@ -1,7 +1,7 @@
-"""What an environment is: pure functions over arrays.
+"""Interface of an environment: pure functions over arrays.
 
-Axes: an environment is unbatched; `jax.vmap` adds the copies axis E in front. `agents`,
-`actions`, `obs` and `state` are the environment's `num_agents`, `num_actions`, `obs_dim`
+Axes: an environment is unbatched, and `jax.vmap` adds the axis E of environment copies in front.
+`agents`, `actions`, `obs` and `state` are the environment's `num_agents`, `num_actions`, `obs_dim`
 and `state_dim`.
 """
 
@@ -12,14 +12,14 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 EnvState = Any
-"""The simulator's own state: any pytree of arrays. Not the Dec-POMDP's global state."""
+"""State of the simulator: any pytree of arrays. It is not the Dec-POMDP's global state."""
 
 
 class TimeStep(NamedTuple):
-    """What an environment emits at `reset` and after every `step`."""
+    """Output of an environment at `reset` and after every `step`."""
 
     obs: Float[Array, "*batch agents obs"]
-    """Each agent's own observation o^i."""
+    """Observation o^i of each agent."""
     state: Float[Array, "*batch state"]
     """Global state s of the Dec-POMDP, for centralized critics and coordinators."""
     action_mask: Bool[Array, "*batch agents actions"]
@@ -27,24 +27,24 @@ class TimeStep(NamedTuple):
     reward: Float[Array, "*batch"]
     """Team reward of the step that led here; 0 at reset."""
     terminated: Bool[Array, "*batch"]
-    """The task itself ended here (value of what follows is 0). False at reset."""
+    """True if the task itself ended here, so that later values are 0. False at reset."""
     truncated: Bool[Array, "*batch"]
-    """The time limit cut the episode here. Never true together with `terminated`."""
+    """True if the time limit cut the episode here. Never true together with `terminated`."""
     info: dict[str, Array]
-    """Scalars with fixed keys, e.g. `success`; as final values of the episode when it ends."""
+    """Scalars with fixed keys, e.g. `success`. Those of the last step describe the episode."""
 
     @property
     def done(self) -> Bool[Array, "*batch"]:
-        """The episode is over, for either reason."""
+        """True if the episode is over, for either reason."""
         return self.terminated | self.truncated
 
 
 @runtime_checkable
 class Environment(Protocol):
-    """A cooperative multi-agent task, as a frozen dataclass whose fields are its configuration.
+    """Cooperative multi-agent task: a frozen dataclass whose fields are its configuration.
 
-    An environment is hashable, holds no arrays and never resets itself: auto-reset belongs to
-    the rollout. `envs_jax.check_environment` tests everything promised here.
+    An environment is hashable and holds no arrays. It never resets itself, because auto-reset
+    belongs to the rollout. `envs_jax.check_environment` tests these properties.
     """
 
     @property
@@ -54,7 +54,7 @@ class Environment(Protocol):
 
     @property
     def num_actions(self) -> int:
-        """Number of discrete actions, the same for all agents."""
+        """Number of discrete actions, equal for all agents."""
         ...
 
     @property
@@ -69,11 +69,11 @@ class Environment(Protocol):
 
     @property
     def max_steps(self) -> int:
-        """Time limit: every episode is over after this many steps."""
+        """Time limit of an episode in environment steps."""
         ...
 
     def reset(self, key: jax.Array) -> tuple[EnvState, TimeStep]:
-        """Start an episode from randomness `key`."""
+        """Start an episode that is drawn with `key`."""
         ...
 
     def step(
@@ -83,5 +83,5 @@ class Environment(Protocol):
         ...
 
     def render(self, env_state: EnvState) -> np.ndarray:
-        """Draw one unbatched `env_state` as a uint8 image (height, width, 3). Host side only."""
+        """Draw one unbatched `env_state` as a uint8 image (height, width, 3), on the host."""
         ...

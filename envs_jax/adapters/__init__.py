@@ -1,6 +1,7 @@
-"""Environments of other libraries as ours, and ours as theirs.
+"""Conversion between environments of this package and those of other libraries.
 
-Their packages are optional, and imported when one of these functions is called.
+The packages of the other libraries are optional. They are imported by the first call that needs
+them.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -29,17 +30,19 @@ def from_jaxmarl(
     team_reward: TeamReward = "mean",
     shaped_reward_coef: float = 0.0,
 ) -> Environment:
-    """An environment of JaxMARL as one of ours; `jaxmarl_import` tells how each part is made.
+    """Convert a JaxMARL environment to an `Environment`; see `jaxmarl_import` for the details.
 
     Args:
-        env: a `MultiAgentEnv` of cooperating agents with discrete actions, not wrapped.
-        max_steps: time limit in environment steps; 0 takes theirs, and a smaller one cuts earlier.
+        env: `MultiAgentEnv` of cooperating agents with discrete actions, without wrappers.
+        max_steps: Time limit in environment steps. 0 takes that of `env`; a smaller one ends
+            episodes earlier.
         team_reward: `mean` or `sum` of the agents' rewards.
-        shaped_reward_coef: what their `shaped_reward` (Overcooked) counts in each agent's reward.
+        shaped_reward_coef: Coefficient of JaxMARL's `shaped_reward` (Overcooked) in each agent's
+            reward.
 
     Raises:
-        ValueError: continuous actions, agents that oppose each other, an unknown time limit, or
-            a setting out of range.
+        ValueError: Actions are continuous, agents oppose each other, the time limit is unknown, or
+            a setting is out of range.
     """
     return WrappedJaxMARL(
         env=env,
@@ -50,10 +53,10 @@ def from_jaxmarl(
 
 
 def to_jaxmarl(env: Environment) -> "ExportedEnv":
-    """One of our environments as a `MultiAgentEnv` of JaxMARL, for its trainers and wrappers.
+    """Convert an `Environment` to a JaxMARL `MultiAgentEnv`, for its trainers and wrappers.
 
     Raises:
-        MissingPackageError: jaxmarl is not installed.
+        MissingPackageError: The package jaxmarl is not installed.
     """
     require("jaxmarl", "compare", "to_jaxmarl")
     from envs_jax.adapters.jaxmarl_export import ExportedEnv
@@ -64,18 +67,18 @@ def to_jaxmarl(env: Environment) -> "ExportedEnv":
 def to_pettingzoo(
     env: Environment, seed: int = 0, action_masks: "ActionMasks" = "observation"
 ) -> "ExportedParallelEnv":
-    """One of our environments as a `ParallelEnv` of PettingZoo, compiled inside.
+    """Convert an `Environment` to a PettingZoo `ParallelEnv`, whose methods are compiled by JAX.
 
     Args:
-        env: the environment.
-        seed: source of its randomness until `reset(seed=...)` gives another.
-        action_masks: with `observation`, an agent observes a dict of `observation` and
-            `action_mask`, as in PettingZoo's own games; with `info`, the vector alone. The mask is
-            in the agent's info in any case.
+        env: Environment to convert.
+        seed: Seed of all episodes until `reset(seed=...)` gives another one.
+        action_masks: With `observation`, an agent observes a dict of `observation` and
+            `action_mask`, as in PettingZoo's own games. With `info`, it observes the vector alone.
+            The agent's info contains the mask in both cases.
 
     Raises:
-        MissingPackageError: pettingzoo is not installed.
-        ValueError: `action_masks` is something else, or `seed` negative.
+        MissingPackageError: The package pettingzoo is not installed.
+        ValueError: `action_masks` is unknown, or `seed` is negative.
     """
     require("pettingzoo", "pettingzoo", "to_pettingzoo")
     from envs_jax.adapters.pettingzoo_export import ExportedParallelEnv

@@ -1,13 +1,11 @@
-"""Our environments as JaxMARL's; needs the package jaxmarl."""
+"""Environments of this package as JaxMARL environments. Needs the package jaxmarl."""
 
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxmarl.environments.multi_agent_env import (
-    MultiAgentEnv,
-)
+from jaxmarl.environments.multi_agent_env import MultiAgentEnv
 from jaxmarl.environments.spaces import Box, Discrete
 from jaxtyping import Array, Bool, Float, Int
 
@@ -15,30 +13,31 @@ from envs_jax.types import Environment, EnvState, TimeStep
 
 
 class ExportedState(NamedTuple):
-    """What JaxMARL's code carries from step to step."""
+    """State that JaxMARL's code carries from step to step."""
 
     env_state: EnvState
     timestep: TimeStep
-    """What was emitted last: JaxMARL asks the state for observations and legal actions."""
+    """Last output of the environment, since JaxMARL reads observations and masks from the state."""
     step: Int[Array, "*batch"]
     """Steps taken in this episode."""
 
     @property
     def done(self) -> Bool[Array, "*batch"]:
-        """The episode is over."""
+        """True if the episode is over."""
         return self.timestep.done
 
 
 class ExportedEnv(MultiAgentEnv):
-    """One of our environments, with all that JaxMARL's trainers ask of theirs.
+    """An `Environment` with the interface that JaxMARL's trainers use.
 
-    Every agent is paid the team's reward. Observations also hold `world_state`, our global state,
-    as those of SMAX do. Info holds ours, and `terminated` and `truncated`, each of shape (agents,)
-    as their trainers expect. `step`, inherited, begins anew where an episode is over.
+    Every agent receives the team reward. Observations also contain the global state as
+    `world_state`, as in SMAX. Info contains the entries of `TimeStep.info`, and `terminated` and
+    `truncated`, each of shape (agents,) as JaxMARL's trainers expect. The inherited `step` resets
+    when an episode is over.
     """
 
     def __init__(self, env: Environment) -> None:
-        """Agents are called agent_0, agent_1, and so on."""
+        """Wrap `env`. Agents are called agent_0, agent_1, and so on."""
         super().__init__(num_agents=env.num_agents)
         self.env = env
         self.max_steps = env.max_steps
@@ -50,7 +49,7 @@ class ExportedEnv(MultiAgentEnv):
 
     @property
     def name(self) -> str:
-        """Name of our class."""
+        """Name of the environment's class."""
         return type(self.env).__name__
 
     @property
@@ -60,16 +59,16 @@ class ExportedEnv(MultiAgentEnv):
 
     @property
     def num_allies(self) -> int:
-        """Number of agents, under the name that their SMAX trainers use."""
+        """Number of agents, under the name that JaxMARL's SMAX trainers use."""
         return self.num_agents
 
     @property
     def agent_classes(self) -> dict[str, list[str]]:
-        """All agents are of one class."""
+        """Agents by class. All are of one class."""
         return {"agents": self.agents}
 
     def world_state_size(self) -> int:
-        """Length of `world_state`."""
+        """Return the length of `world_state`."""
         return self.state_size
 
     def reset(self, key: jax.Array) -> tuple[dict[str, Array], ExportedState]:
@@ -81,7 +80,7 @@ class ExportedEnv(MultiAgentEnv):
     def step_env(
         self, key: jax.Array, state: ExportedState, actions: dict[str, Array]
     ) -> tuple[dict[str, Array], ExportedState, dict[str, Array], dict[str, Array], dict[str, Any]]:
-        """Advance one step; does not begin anew."""
+        """Advance one step, without a reset at the end of an episode."""
         action = jnp.stack([jnp.asarray(actions[agent]).reshape(()) for agent in self.agents])
         env_state, timestep = self.env.step(key, state.env_state, action.astype(jnp.int32))
         state = ExportedState(env_state, timestep, state.step + 1)
@@ -93,20 +92,20 @@ class ExportedEnv(MultiAgentEnv):
         return self.get_obs(state), state, rewards, dones, info
 
     def get_obs(self, state: ExportedState) -> dict[str, Array]:
-        """Each agent's observation, and the global state as `world_state`."""
+        """Return each agent's observation, and the global state as `world_state`."""
         timestep = state.timestep
         obs = {agent: timestep.obs[index] for index, agent in enumerate(self.agents)}
         return obs | {"world_state": timestep.state}
 
     def get_world_state(self, state: ExportedState) -> Float[Array, " state"]:
-        """The global state."""
+        """Return the global state."""
         return state.timestep.state
 
     def get_avail_actions(self, state: ExportedState) -> dict[str, Array]:
-        """Which actions are legal, by agent."""
+        """Return the legal actions of each agent."""
         mask = state.timestep.action_mask
         return {agent: mask[index] for index, agent in enumerate(self.agents)}
 
     def render(self, state: ExportedState) -> np.ndarray:
-        """Our picture, uint8 (height, width, 3)."""
+        """Draw a state as a uint8 image (height, width, 3)."""
         return self.env.render(state.env_state)

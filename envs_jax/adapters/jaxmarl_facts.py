@@ -1,6 +1,6 @@
-"""What there is to know of an environment of JaxMARL, whichever it is.
+"""Properties of a JaxMARL environment.
 
-Environments are recognized by the names of their classes, so that nothing is imported.
+Environments are recognized by the names of their classes, which avoids importing jaxmarl.
 """
 
 from collections.abc import Mapping
@@ -14,31 +14,41 @@ from jaxtyping import Array, Bool, Float
 COUNTED_AFTERWARDS = {"SimpleMPE", "SMAX", "EnemySMAX"}
 """Classes whose episodes take one step more than their `max_steps`."""
 SELF_INTERESTED = {"CoinGame", "InTheGrid", "InTheGrid_2p", "InTheMatrix"}
-"""Classes of games that pay every agent for itself."""
+"""Classes of games in which every agent has its own reward."""
 OPPONENTS = ("adversary_", "leadadversary_", "enemy_", "eve_")
-"""What names of agents of another side begin with."""
+"""Prefixes of the names of agents of another side."""
 
 
 class Shapes(NamedTuple):
-    """What tracing an environment of JaxMARL tells."""
+    """Shapes of a JaxMARL environment, found by tracing it."""
 
     env_state: Any
-    """Its state as shapes and dtypes."""
+    """Shapes and dtypes of its state."""
     obs_dims: tuple[int, ...]
     """Length of each agent's observation, flattened."""
     state_dim: int
+    """Length of the global state."""
     info: tuple[str, ...]
     """Entries of its info that are passed on."""
     has_shaped_reward: bool
+    """True if its info contains `shaped_reward`."""
 
 
 def check_agents(source: Any, label: str) -> None:
-    """Refuse what is no team with discrete actions."""
+    """Check that the agents are a team with discrete actions.
+
+    Args:
+        source: Environment of JaxMARL.
+        label: Name of the setting that chose it, for the message.
+
+    Raises:
+        ValueError: Agents oppose each other, or an agent's actions are not discrete.
+    """
     name = type(source).__name__
     others = [agent for agent in source.agents if str(agent).startswith(OPPONENTS)]
     if _is_one_of(source, SELF_INTERESTED) or 0 < len(others) < len(source.agents):
-        reason = f"{others[0]} opposes the others" if others else "each agent is paid for itself"
-        raise ValueError(f"{label}: {name} is no team task ({reason}); choose a cooperative one")
+        reason = f"{others[0]} opposes the others" if others else "each agent has its own reward"
+        raise ValueError(f"{label}: {name} is not a team task ({reason}); choose a cooperative one")
     for agent in source.agents:
         space = source.action_space(agent)
         if not hasattr(space, "n"):
@@ -49,40 +59,48 @@ def check_agents(source: Any, label: str) -> None:
 
 
 def _is_one_of(source: Any, names: set[str]) -> bool:
-    """Whether a class of these names is among `source`'s; spares importing theirs."""
+    """Test by name whether `source` is an instance of one of these classes."""
     return any(cls.__name__ in names for cls in type(source).__mro__)
 
 
 def their_limit(source: Any) -> int | None:
-    """Steps after which JaxMARL ends an episode, if it says."""
+    """Return the steps after which JaxMARL ends an episode, or None if unknown."""
     limit = getattr(source, "max_steps", None)
     return None if limit is None else int(limit) + _is_one_of(source, COUNTED_AFTERWARDS)
 
 
 def time_limit(source: Any, wanted: int) -> int:
-    """The time limit to use; `wanted` 0 stands for theirs."""
+    """Return the time limit to use.
+
+    Args:
+        source: Environment of JaxMARL.
+        wanted: Time limit in environment steps; 0 takes that of `source`.
+
+    Raises:
+        ValueError: `wanted` is negative or exceeds the limit of `source`, or neither gives a limit.
+    """
     limit = their_limit(source)
     if wanted < 0:
-        raise ValueError(f"max_steps must be at least 1, or 0 for theirs, got {wanted}")
+        raise ValueError(f"max_steps must be at least 1, or 0 for JaxMARL's, got {wanted}")
     if wanted == 0 and limit is None:
         name = type(source).__name__
-        raise ValueError(f"max_steps is missing: {name} does not tell its time limit; give one")
+        raise ValueError(f"max_steps is missing: {name} has no time limit of its own; give one")
     if limit is not None and wanted > limit:
         raise ValueError(
             f"max_steps {wanted} is more than the {limit} steps after which "
-            f"{type(source).__name__} ends an episode itself; lower it, or raise theirs"
+            f"{type(source).__name__} ends an episode itself; lower it, or raise that limit"
         )
     return wanted or limit or 0
 
 
 def num_actions(source: Any) -> list[int]:
-    """How many actions each agent has."""
+    """Return the number of actions of each agent."""
     return [int(source.action_space(agent).n) for agent in source.agents]
 
 
 @lru_cache(maxsize=64)
 def trace(source: Any) -> Shapes:
-    """Shapes without computing anything."""
+    """Trace an environment of JaxMARL for its shapes, without computing anything."""
     key = jax.random.key(0)
     obs, env_state = jax.eval_shape(source.reset, key)
     action = jax.ShapeDtypeStruct((), jnp.int32)
@@ -101,7 +119,7 @@ def trace(source: Any) -> Shapes:
 
 
 def world_state(source: Any, obs: Mapping[str, Array], state: Any) -> Float[Array, " state"]:
-    """The global state: theirs, or all observations."""
+    """Return the global state: that of `source`, or else all observations, concatenated."""
     if "world_state" in obs:
         given = obs["world_state"]
     elif hasattr(source, "get_world_state"):
@@ -112,19 +130,19 @@ def world_state(source: Any, obs: Mapping[str, Array], state: Any) -> Float[Arra
 
 
 def available_actions(source: Any, state: Any) -> Mapping[str, Array]:
-    """What each agent may do, of its own actions; all where they do not say."""
-    for name in ("get_avail_actions", "get_legal_moves"):  # the latter: Hanabi
+    """Return the legal actions of each agent among its own; all of them if `source` has no mask."""
+    for name in ("get_avail_actions", "get_legal_moves"):  # The second is Hanabi's.
         try:
             if hasattr(source, name):
                 return getattr(source, name)(state)
-        except NotImplementedError:  # of the base class
+        except NotImplementedError:  # That of the base class.
             continue
     counts = zip(source.agents, num_actions(source))
     return {agent: jnp.ones(count, bool) for agent, count in counts}
 
 
 def sides_alive(source: Any, state: Any) -> tuple[Bool[Array, ""], Bool[Array, ""]] | None:
-    """Whether any ally lives, and any enemy, in SMAX; None for other environments."""
+    """Return whether any ally and any enemy lives in SMAX; None for other environments."""
     alive = getattr(getattr(state, "state", None), "unit_alive", None)
     if alive is None:
         return None

@@ -1,18 +1,20 @@
-"""Environments of JaxMARL (github.com/FLAIROx/JaxMARL, version 0.2) as ours.
+"""Conversion of environments of JaxMARL (github.com/FLAIROx/JaxMARL, version 0.2).
 
-- Agents are in the order of `agents`. Their observations are flattened, and padded with zeros to
-  the longest; their actions to the most, and what is added is illegal.
-- `state` is their `world_state` (SMAX), or what `get_world_state` gives, or else all observations
-  in a row, as JaxMARL's own trainers do it (`jaxmarl.wrappers.baselines.CTRolloutManager`).
-- The team's reward is the mean of the agents' rewards. Where all agents are paid the same, as in
-  Overcooked, SMAX and Hanabi, that is what each of them is paid. Where each has a part of its own,
-  as in MPE, a sum would be the mean times the number of agents.
-- An episode has the steps that theirs has. Three of their families count a step after they have
-  looked at the count, so that MPE with `max_steps` 25 takes 26 and SMAX with 100 takes 101.
-- Theirs has one word, done, for both ends. Here it is `truncated` at the time limit, unless a side
-  of SMAX is dead by then, and `terminated` before it. An entry `truncated` of their info wins.
-- `info` has numbers of their info that are one for all or one per agent (then the mean), 0 at
-  reset, and for SMAX `success`: all enemies are dead and an ally lives.
+- Agents are in the order of `agents`. Observations are flattened and padded with zeros to the
+  longest one. Actions are padded to the largest number, and the added ones are illegal.
+- `state` is JaxMARL's `world_state` (SMAX), or else the result of `get_world_state`, or else all
+  observations, concatenated as in JaxMARL's own trainers
+  (`jaxmarl.wrappers.baselines.CTRolloutManager`).
+- The team reward is the mean of the agents' rewards. If all agents receive the same reward, as in
+  Overcooked, SMAX and Hanabi, the mean equals it. If each agent has its own part, as in MPE, the
+  sum is the mean times the number of agents.
+- An episode has as many steps as in JaxMARL. Some of its environments check the step count before
+  they increase it, so that MPE with `max_steps` 25 takes 26 steps and SMAX with 100 takes 101.
+- JaxMARL has one flag, done, for both ends of an episode. It becomes `truncated` at the time limit,
+  unless a side of SMAX is dead by then, and `terminated` before. An entry `truncated` of JaxMARL's
+  info takes precedence.
+- `info` contains those entries of JaxMARL's info that are one number, or one number per agent (then
+  their mean). They are 0 at reset. SMAX also has `success`: all enemies are dead and an ally lives.
 """
 
 import math
@@ -37,24 +39,24 @@ class ImportedState(NamedTuple):
     """Simulator state of one episode."""
 
     state: Any
-    """That of JaxMARL."""
+    """State of JaxMARL's environment."""
     time: Int[Array, "*batch"]
     """Steps taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class JaxMARLTask:
-    """What `from_jaxmarl` makes of an environment; subclasses say which one it is."""
+    """Base class of converted JaxMARL environments. A subclass provides `source`."""
 
     max_steps: int = 0
-    """Time limit in environment steps; 0 takes JaxMARL's, and a smaller one cuts earlier."""
+    """Time limit in environment steps. 0 takes JaxMARL's; a smaller one ends episodes earlier."""
     team_reward: TeamReward = "mean"
-    """What the team is paid, of the agents' rewards; the same where all are paid the same."""
+    """Team reward: `mean` or `sum` of the agents' rewards."""
     shaped_reward_coef: float = 0.0
-    """What JaxMARL's shaped reward (Overcooked) counts in each agent's reward."""
+    """Coefficient of JaxMARL's shaped reward (Overcooked) in each agent's reward."""
 
     label: ClassVar[str] = "env"
-    """What an error blames."""
+    """Name of the setting that chooses the environment, for error messages."""
 
     def __post_init__(self) -> None:
         facts.check_agents(self.source, self.label)
@@ -81,22 +83,22 @@ class JaxMARLTask:
 
     @property
     def num_actions(self) -> int:
-        """The most actions that an agent has."""
+        """Largest number of actions of an agent."""
         return max(facts.num_actions(self.source))
 
     @property
     def obs_dim(self) -> int:
-        """Length of the longest observation."""
+        """Length of the longest observation of an agent."""
         return max(self._shapes.obs_dims)
 
     @property
     def state_dim(self) -> int:
-        """Length of the global state."""
+        """Length of the global state vector."""
         return self._shapes.state_dim
 
     @property
     def agent_names(self) -> tuple[str, ...]:
-        """JaxMARL's names of the agents, in their order."""
+        """JaxMARL's names of the agents, in its order."""
         return tuple(self.source.agents)
 
     @property
@@ -104,18 +106,18 @@ class JaxMARLTask:
         return facts.trace(self.source)
 
     def reset(self, key: jax.Array) -> tuple[ImportedState, TimeStep]:
-        """Their `reset`."""
+        """Start an episode by JaxMARL's `reset`."""
         obs, state = self.source.reset(key)
         state = _cast(state, self._shapes.env_state)
-        no = jnp.bool(False)
+        not_over = jnp.bool(False)
         info = dict.fromkeys(self._shapes.info, jnp.float32(0))
-        timestep = self._timestep(obs, state, jnp.float32(0), no, no, info)
+        timestep = self._timestep(obs, state, jnp.float32(0), not_over, not_over, info)
         return ImportedState(state, jnp.int32(0)), timestep
 
     def step(
         self, key: jax.Array, env_state: ImportedState, action: Int[Array, " agents"]
     ) -> tuple[ImportedState, TimeStep]:
-        """Their `step_env`, which never resets."""
+        """Advance one step by JaxMARL's `step_env`, which never resets."""
         actions = {agent: action[index] for index, agent in enumerate(self.source.agents)}
         obs, state, rewards, dones, info = self.source.step_env(key, env_state.state, actions)
         state = _cast(state, self._shapes.env_state)
@@ -129,13 +131,13 @@ class JaxMARLTask:
         return ImportedState(state, time), timestep
 
     def render(self, env_state: ImportedState) -> np.ndarray:
-        """Overcooked by JaxMARL, SMAX and MPE as discs; of others, a strip of state numbers."""
+        """Draw Overcooked by JaxMARL, SMAX and MPE as discs, and others as a strip of numbers."""
         return pictures.draw(self.source, env_state.state)
 
     def _is_time_up(
         self, state: Any, time: Int[Array, ""], info: Mapping[str, Any]
     ) -> Bool[Array, ""]:
-        """Whether, if the episode is over, that is due to the time limit only."""
+        """Return whether the end of an episode, if it is over, is due to the time limit only."""
         if "truncated" in info:
             return jnp.any(info["truncated"])
         limit = facts.their_limit(self.source)
@@ -164,7 +166,7 @@ class JaxMARLTask:
         truncated: Bool[Array, ""],
         info: dict[str, Array],
     ) -> TimeStep:
-        """All that an agent and a coordinator see."""
+        """Convert JaxMARL's outputs to a `TimeStep`."""
         rows = [obs[agent].reshape(-1) for agent in self.source.agents]
         sides = facts.sides_alive(self.source, state)
         if sides is not None:
@@ -188,7 +190,7 @@ class JaxMARLTask:
 
 @dataclass(frozen=True, kw_only=True)
 class WrappedJaxMARL(JaxMARLTask):
-    """An environment of JaxMARL that exists already; see `from_jaxmarl`."""
+    """JaxMARL environment given as an object; see `from_jaxmarl`."""
 
     env: Any
     """The environment of JaxMARL; compared by identity."""
@@ -200,9 +202,10 @@ class WrappedJaxMARL(JaxMARLTask):
 
 
 def _cast(state: Any, like: Any) -> Any:
-    """Give `state` the dtypes it had when traced at reset, none of them weak.
+    """Convert `state` to the dtypes that it has when `reset` is traced, none of them weak.
 
-    Some of theirs change between `reset` and `step`, which `jax.lax.scan` refuses.
+    Some environments of JaxMARL change dtypes between `reset` and `step`, which `jax.lax.scan`
+    refuses.
     """
     return jax.tree.map(lambda x, to: jax.lax.convert_element_type(x, to.dtype), state, like)
 

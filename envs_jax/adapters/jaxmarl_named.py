@@ -1,33 +1,32 @@
-"""JaxMARL's environments by name, so that a command line or a file can ask for one."""
+"""Environments of JaxMARL by name, for command lines and configuration files."""
 
-import difflib
 import tomllib
 import warnings
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
 
 from envs_jax.adapters.jaxmarl_import import JaxMARLTask
+from envs_jax.choices import suggest
 from envs_jax.optional import require
 
 
 @dataclass(frozen=True, kw_only=True)
 class JaxMARL(JaxMARLTask):
-    """A cooperative environment of JaxMARL; `jaxmarl_import` tells how it is made one of ours.
+    """Cooperative environment of JaxMARL, converted as `jaxmarl_import` describes.
 
     Raises:
-        MissingPackageError: jaxmarl is not installed.
-        ValueError: a field names what JaxMARL does not have, or what has no cooperating agents
-            with discrete actions.
+        MissingPackageError: The package jaxmarl is not installed.
+        ValueError: A field names something that JaxMARL does not have, or an environment without
+            cooperating agents or discrete actions.
     """
 
     id: str = "overcooked"
     """JaxMARL's name of the environment, e.g. overcooked, HeuristicEnemySMAX or
     MPE_simple_spread_v3."""
     options: str = ""
-    """What its constructor is given, e.g. "scenario=3m, walls_cause_death=false". Layouts of
-    Overcooked and scenarios of SMAX are written by name."""
+    """Arguments of its constructor, e.g. "scenario=3m, walls_cause_death=false". Give layouts of
+    Overcooked and scenarios of SMAX by name."""
 
     label: ClassVar[str] = "id"
 
@@ -39,30 +38,33 @@ class JaxMARL(JaxMARLTask):
 
 @lru_cache(maxsize=64)
 def _make(name: str, options: str) -> Any:
-    """The same object for the same words, as JaxMARL compiles anew for every object."""
+    """Build an environment of JaxMARL.
+
+    Equal arguments return the same object, because JaxMARL compiles for each object separately.
+    """
     jaxmarl = require("jaxmarl", "compare", f"id {name}")
     known = jaxmarl.registered_envs
     if name not in known:
-        raise ValueError(f"id: JaxMARL has no environment {name!r}{_suggest(name, known)}")
+        raise ValueError(f"id: JaxMARL has no environment {name!r}{suggest(name, known)}")
     values = {word: _look_up(name, word, value) for word, value in _parse(options).items()}
     try:
         with warnings.catch_warnings():
-            # Overcooked recommends its successor at every start.
+            # Overcooked recommends its successor whenever it is built.
             warnings.simplefilter("ignore", DeprecationWarning)
             return jaxmarl.make(name, **values)
     except (TypeError, AssertionError, NotImplementedError, ImportError) as error:
         given = f"options {options!r}: {name}" if options else f"id: {name}"
-        raise ValueError(f"{given} cannot be made: {error}") from error
+        raise ValueError(f"{given} cannot be built: {error}") from error
 
 
 def _parse(options: str) -> dict[str, Any]:
-    """The values that "a=1, b=text" spells; numbers and truth values as in TOML.
+    """Parse options such as "a=1, b=text", with numbers and booleans as in TOML.
 
     Raises:
-        ValueError: a part is not of the form name=value.
+        ValueError: A part is not of the form name=value.
     """
     values: dict[str, Any] = {}
-    for part in filter(None, (part.strip() for part in options.split(","))):
+    for part in filter(None, (part.strip() for part in str(options).split(","))):
         name, equals, text = (word.strip() for word in part.partition("="))
         if not (name and equals and text):
             raise ValueError(
@@ -76,7 +78,7 @@ def _parse(options: str) -> dict[str, Any]:
 
 
 def _look_up(env: str, option: str, value: Any) -> Any:
-    """The object behind the name of a layout or a scenario; other values as they are."""
+    """Return the object that a layout or scenario name stands for, and other values unchanged."""
     if (env, option) == ("overcooked", "layout"):
         from jaxmarl.environments import overcooked
 
@@ -88,12 +90,5 @@ def _look_up(env: str, option: str, value: Any) -> Any:
     else:
         return value
     if value not in table:
-        raise ValueError(f"options: {env} has no {option} {value!r}{_suggest(value, table)}")
+        raise ValueError(f"options: {env} has no {option} {value!r}{suggest(value, table)}")
     return table[value]
-
-
-def _suggest(word: Any, known: Iterable[str]) -> str:
-    """A hint at the known word that was probably meant, or at all of them."""
-    known = list(known)
-    close = difflib.get_close_matches(str(word), known, n=1)
-    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known)})"

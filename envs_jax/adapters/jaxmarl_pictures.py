@@ -1,4 +1,4 @@
-"""Pictures of JaxMARL's environments, on the host, without opening a window."""
+"""Pictures of JaxMARL's environments, drawn on the host without opening a window."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-SIDE = 320  # pixels
+SIDE = 320  # Pixels.
 BACKGROUND, ALLY, ENEMY, LANDMARK = (244, 241, 232), (58, 104, 196), (206, 64, 64), (120, 124, 134)
 
 
@@ -19,7 +19,7 @@ def draw(source: Any, state: Any) -> np.ndarray:
 
 
 def draw_numbers(state: Any) -> np.ndarray:
-    """A column of gray for each number of any state, from its least (black) to its greatest."""
+    """Draw each number of any state as a gray column, from the least (black) to the greatest."""
     leaves = [np.asarray(leaf, np.float32).ravel() for leaf in _numbers(state)]
     values = np.nan_to_num(np.concatenate(leaves))
     low, high = values.min(), values.max()
@@ -29,16 +29,14 @@ def draw_numbers(state: Any) -> np.ndarray:
 
 
 def _numbers(state: Any) -> list[Any]:
-    """Leaves that are numbers, not random keys."""
+    """Return the leaves that are numbers, without random keys."""
     leaves = jax.tree.leaves(state)
     return [leaf for leaf in leaves if not jax.dtypes.issubdtype(leaf.dtype, jax.dtypes.prng_key)]
 
 
 def _draw_overcooked(source: Any, state: Any) -> np.ndarray:
-    """JaxMARL's own drawing of the kitchen."""
-    from jaxmarl.viz.overcooked_visualizer import (
-        OvercookedVisualizer,
-    )
+    """Draw a kitchen by JaxMARL's own visualizer."""
+    from jaxmarl.viz.overcooked_visualizer import OvercookedVisualizer
 
     padding = source.agent_view_size - 2
     return OvercookedVisualizer._render_grid(
@@ -49,7 +47,7 @@ def _draw_overcooked(source: Any, state: Any) -> np.ndarray:
 
 
 def _draw_smax(source: Any, state: Any) -> np.ndarray:
-    """Units as discs; those of the dead are not there."""
+    """Draw living units as discs."""
     units = state.state
     size = np.array([source.map_width, source.map_height])
     types = np.asarray(units.unit_types)
@@ -62,7 +60,7 @@ def _draw_smax(source: Any, state: Any) -> np.ndarray:
 
 
 def _draw_mpe(source: Any, state: Any) -> np.ndarray:
-    """Agents and landmarks on the square from -1.5 to 1.5; beyond it is not shown."""
+    """Draw agents and landmarks on the square from -1.5 to 1.5. Those outside are not shown."""
     extent = 1.5
     colors = [ALLY] * source.num_agents + [LANDMARK] * source.num_landmarks
     return _draw_discs(
@@ -76,13 +74,13 @@ def _draw_mpe(source: Any, state: Any) -> np.ndarray:
 def _draw_discs(
     centers: np.ndarray, radii: np.ndarray, colors: np.ndarray, shown: np.ndarray
 ) -> np.ndarray:
-    """Discs in the unit square, y upwards.
+    """Draw discs on the unit square, with y upwards.
 
     Args:
-        centers: (discs, 2) x and y.
-        radii: (discs,)
-        colors: (discs, 3) of 0..255.
-        shown: (discs,)
+        centers: x and y, (discs, 2).
+        radii: Radii, (discs,).
+        colors: Colors in 0..255, (discs, 3).
+        shown: True for each disc to draw, (discs,).
     """
     image = np.full((SIDE, SIDE, 3), BACKGROUND, np.uint8)
     y, x = (np.mgrid[:SIDE, :SIDE] + 0.5) / SIDE
@@ -97,4 +95,4 @@ PICTURES: dict[str, Callable[[Any, Any], np.ndarray]] = {
     "EnemySMAX": _draw_smax,
     "SimpleMPE": _draw_mpe,
 }
-"""How to draw, by the name of JaxMARL's class or of one it derives from."""
+"""Drawing functions by the name of JaxMARL's class or of one of its base classes."""

@@ -1,4 +1,4 @@
-"""Our environments as PettingZoo's; needs the package pettingzoo."""
+"""Environments of this package as PettingZoo environments. Needs the package pettingzoo."""
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
@@ -16,16 +16,16 @@ ActionMasks = Literal["observation", "info"]
 
 
 class ExportedParallelEnv(ParallelEnv):
-    """One of our environments as a stateful `ParallelEnv`; see `to_pettingzoo`.
+    """An `Environment` as a stateful `ParallelEnv`; see `to_pettingzoo`.
 
-    All agents are paid the team's reward and end together. Arrays are NumPy's. An agent's info has
-    the numbers of ours, and `action_mask`.
+    All agents receive the team reward and end together. Arrays are NumPy arrays. The info of an
+    agent contains the numbers of `TimeStep.info`, and `action_mask`.
     """
 
     def __init__(
         self, env: Environment, seed: int = 0, action_masks: ActionMasks = "observation"
     ) -> None:
-        """Agents are called agent_0, agent_1, and so on."""
+        """Wrap `env`. Agents are called agent_0, agent_1, and so on."""
         check_choice("action_masks", action_masks, ActionMasks)
         self.env = env
         self.render_mode = "rgb_array"
@@ -47,22 +47,24 @@ class ExportedParallelEnv(ParallelEnv):
         self._timestep: TimeStep | None = None
 
     def observation_space(self, agent: str) -> Space:
-        """What `agent` observes."""
+        """Return the space of an agent's observations."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> Discrete:
-        """What `agent` can do, legal or not."""
+        """Return the space of an agent's actions, including illegal ones."""
         return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict | None = None
     ) -> tuple[dict[str, Any], dict[str, dict]]:
-        """Start an episode; observations and infos by agent.
+        """Start an episode.
 
         Args:
-            seed: where the randomness of this and all later episodes comes from; None goes on with
-                what there is.
-            options: not used.
+            seed: Seed of this and all later episodes; None continues the current random stream.
+            options: Not used.
+
+        Returns:
+            Observations and infos by agent.
         """
         del options
         if seed is not None:
@@ -82,13 +84,13 @@ class ExportedParallelEnv(ParallelEnv):
             Observations, rewards, terminations, truncations and infos by agent.
 
         Raises:
-            ValueError: the episode is over, or an agent has no action.
+            ValueError: The episode is over, or an action is missing.
         """
         if not self.agents:
-            raise ValueError("there is no episode to step in: call reset first")
+            raise ValueError("no episode is running: call reset first")
         missing = [agent for agent in self.agents if agent not in actions]
         if missing:
-            raise ValueError(f"actions must have one for each agent; {missing[0]} has none")
+            raise ValueError(f"actions has no entry for {missing[0]}; give one action per agent")
         _, step = _compile(self.env)
         action = np.array([actions[agent] for agent in self.agents], np.int32)
         self._key, self._env_state, timestep = step(self._key, self._env_state, action)
@@ -105,16 +107,16 @@ class ExportedParallelEnv(ParallelEnv):
         )
 
     def state(self) -> np.ndarray:
-        """The global state, float32 (state_dim,)."""
+        """Return the global state, float32 (state_dim,)."""
         return np.array(self._last().state)
 
     def render(self) -> np.ndarray:
-        """A picture, uint8 (height, width, 3)."""
+        """Draw the current state as a uint8 image (height, width, 3)."""
         self._last()
         return self.env.render(self._env_state)
 
     def close(self) -> None:
-        """There is nothing to close."""
+        """Do nothing; there is no window or file to close."""
 
     def _remember(self, timestep: TimeStep) -> TimeStep:
         self._timestep = jax.tree.map(np.asarray, timestep)
@@ -122,7 +124,7 @@ class ExportedParallelEnv(ParallelEnv):
 
     def _last(self) -> TimeStep:
         if self._timestep is None:
-            raise ValueError("nothing has happened yet: call reset first")
+            raise ValueError("no episode has started: call reset first")
         return self._timestep
 
     def _observations(self, timestep: TimeStep) -> dict[str, Any]:
@@ -156,7 +158,7 @@ def _observation_space(env: Environment, action_masks: ActionMasks) -> Space:
 
 @lru_cache(maxsize=64)
 def _compile(env: Environment) -> tuple[Callable, Callable]:
-    """`reset` and `step` that also hand on the key; compiled once for equal environments."""
+    """Compile `reset` and `step`, with splitting of the key, once for equal environments."""
 
     def reset(key: jax.Array) -> tuple[jax.Array, EnvState, TimeStep]:
         key, key_reset = jax.random.split(key)

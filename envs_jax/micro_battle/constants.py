@@ -1,4 +1,4 @@
-"""What stays the same throughout a battle of `micro_battle`, as arrays with a row per unit."""
+"""Constants of the units in a battle of `micro_battle`, as arrays with a row per unit."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -10,11 +10,15 @@ from envs_jax.micro_battle.scenarios import Scenario
 from envs_jax.micro_battle.unit_types import TICKS_PER_SECOND, UNIT_TYPES, Balance, UnitType
 
 RESPONSE_RANGE = 9.0
-"""Up to where a hit makes an enemy that walks turn to the shooter, in cells."""
+"""Distance in cells up to which an enemy that can walk turns to whoever hit it."""
 
 
-class Roster(NamedTuple):
-    """What stays of all units: rows (units, 1, ..), and for pairs (units, units, 1, ..)."""
+class UnitConstants(NamedTuple):
+    """Constants of all units.
+
+    Shapes are (units, 1, ...), or (units, units, 1, ...) for pairs, with as many trailing axes as
+    there are axes of copies. Distances are in cells and times in ticks.
+    """
 
     index: np.ndarray
     is_enemy: np.ndarray
@@ -27,25 +31,29 @@ class Roster(NamedTuple):
     windup: np.ndarray
     second_hit: np.ndarray
     stand: np.ndarray
-    """Ticks without walking from when an attack begins."""
+    """Ticks for which a unit does not walk after it begins an attack."""
     shield_regeneration: np.ndarray
+    """Points per tick."""
     health_regeneration: np.ndarray
+    """Points per tick."""
     cooldown_scale: np.ndarray
     reach: np.ndarray
-    """Of each unit to each other, from center to center."""
+    """Range of the first unit's weapon to the second, from center to center."""
     scan: np.ndarray
+    """Range in which the first unit looks for targets, from center to center."""
     response: np.ndarray
-    """Up to where a hit makes the unit turn to the shooter."""
+    """Distance up to which the first unit turns to the second if that hit it."""
     damage: np.ndarray
+    """Damage of one hit of the first unit on the second, before armor."""
     body: np.ndarray
-    """Distance of a pair's centers below which it is pushed apart."""
+    """Distance of two centers below which the units are pushed apart."""
     yielding: np.ndarray
-    """Which part of the push the first of a pair takes."""
+    """Share of the push that the first unit takes."""
 
 
 @lru_cache
-def make_roster(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> Roster:
-    """The constants of a scenario, shaped for so many axes of copies."""
+def unit_constants(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> UnitConstants:
+    """Return the constants of a scenario, shaped for `copies_ndim` axes of copies."""
     spawns = (*scenario.allies, *scenario.enemies)
     types = [UNIT_TYPES[balance][spawn.unit] for spawn in spawns]
 
@@ -59,7 +67,7 @@ def make_roster(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> R
     windup, second_hit = np.ceil(row("windup", ticks)), np.ceil(row("second_hit", ticks))
     is_enemy = np.arange(len(types)) >= len(scenario.allies)
     reach = pairs(lambda a, b: a.reach + a.radius + b.radius)
-    roster = Roster(
+    constants = UnitConstants(
         index=np.arange(len(types)),
         is_enemy=is_enemy,
         max_health=row("health"),
@@ -80,14 +88,14 @@ def make_roster(scenario: Scenario, balance: Balance, copies_ndim: int = 0) -> R
         body=pairs(lambda a, b: a.body + b.body),
         yielding=pairs(_yielding) * (1 - np.eye(len(types), dtype=np.float32)),
     )
-    return Roster(*(column(array, copies_ndim) for array in roster))
+    return UnitConstants(*(column(array, copies_ndim) for array in constants))
 
 
-def column(constants: np.ndarray, copies_ndim: int) -> np.ndarray:
-    """Shape constants so that they broadcast over axes of copies behind theirs."""
-    return constants.reshape(constants.shape + (1,) * copies_ndim)
+def column(array: np.ndarray, copies_ndim: int) -> np.ndarray:
+    """Append axes to an array, so that it broadcasts over trailing axes of copies."""
+    return array.reshape(array.shape + (1,) * copies_ndim)
 
 
 def _yielding(a: UnitType, b: UnitType) -> float:
-    """Two units that move take half of a push each; what stands fast takes nothing of it."""
+    """Return the share of a push that `a` takes: half if both can move, none if `a` cannot."""
     return 0.0 if not a.speed else 0.5 if b.speed else 1.0

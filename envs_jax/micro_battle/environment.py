@@ -1,9 +1,9 @@
-"""Unit micro-battles: a stand-in for SMAC's 3m, 2s_vs_1sc and 2m_vs_1z with 0-1 reward.
+"""Unit micro-battles: a substitute for SMAC's 3m, 2s_vs_1sc and 2m_vs_1z with 0-1 reward.
 
-Each agent commands one unit against enemies that follow a fixed rule. The team is paid 1 once, when
-the last enemy dies while one of the agents' units lives. Units, walls, starts, actions, masks and
-observations follow SMAC and StarCraft II's data files; the game itself was never run. What is
-modelled and what is not: docs/micro_battle.md.
+Each agent commands one unit against enemies that follow a fixed rule. The team receives a reward of
+1 once, when the last enemy dies while one of the agents' units lives. Units, walls, starts,
+actions, masks and observations follow SMAC and StarCraft II's data files. The game itself was never
+run. docs/environments/micro_battle.md states what is modeled and what is not.
 """
 
 from collections.abc import Callable
@@ -17,8 +17,8 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.choices import check_choice
-from envs_jax.micro_battle.constants import column, make_roster
+from envs_jax.choices import check_choice, check_whole, suggest
+from envs_jax.micro_battle.constants import column, unit_constants
 from envs_jax.micro_battle.observations import (
     DIRECTIONS,
     FIRST_ATTACK,
@@ -30,11 +30,12 @@ from envs_jax.micro_battle.observations import (
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
 from envs_jax.micro_battle.render import ALLIES, draw
-from envs_jax.micro_battle.scenarios import JITTER, SCENARIOS, Scenario
+from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario
 from envs_jax.micro_battle.unit_types import Balance
 from envs_jax.types import TimeStep
 
 TICKS_PER_STEP = 8
+"""Ticks of the simulation per environment step, as in SMAC (half a second)."""
 
 
 class MicroBattleState(NamedTuple):
@@ -43,80 +44,83 @@ class MicroBattleState(NamedTuple):
     units: Units
     """Allies, then enemies."""
     goal: Float[Array, "2 *copies"]
-    """Where enemies go; not used in scenarios without goals."""
+    """Destination of the enemies; not used in scenarios without goals."""
     last_action: Int[Array, "agents *copies"]
-    """-1 before the first step."""
+    """Last action of each agent; -1 at reset."""
     time: Int[Array, "*copies"]
     """Steps taken."""
 
 
 @dataclass(frozen=True)
 class MicroBattle:
-    """The battle; see the module docstring for its rules.
+    """Micro-battle as an environment; the module docstring states the rules.
 
-    Actions are SMAC's: 0 no-op (the dead only), 1 stop, 2 to 5 move north (+y), south, east (+x),
-    west, and 6 + j attack enemy j. What the mask rules out is treated as stop.
+    Actions are SMAC's: 0 no-op (only for the dead), 1 stop, 2 to 5 move north (+y), south,
+    east (+x), west, and 6 + j attack enemy j. An illegal action acts as stop.
 
     Raises:
-        ValueError: unknown scenario, balance or observation, or a time limit below 1.
+        ValueError: The scenario, balance or observation is unknown, or `time_limit` is not a
+            positive whole number.
     """
 
     scenario: str | Scenario = "3m"
-    """Name in `battle_scenarios.SCENARIOS`, or a scenario of your own."""
+    """Name in `scenarios.SCENARIOS`, or your own `Scenario`."""
     balance: Balance = "multi"
-    """Which of the game's two sets of unit data: `multi`, multiplayer games, or `liberty`, the
-    campaign that SMAC's maps name as theirs. They differ in stalkers and spine crawlers."""
+    """Unit data of the game: `multi` for those of multiplayer games, `liberty` for those of the
+    campaign that SMAC's maps declare. They differ in stalkers and spine crawlers."""
     observation: Observation = "mappo"
-    """Layout of obs and state: `mappo`, of MAPPO's wrapper around SMAC, which HMASD's authors used
-    with one state for all agents (3m: 64 and 75), or `smac`, SMAC's own (30 and 48)."""
+    """Format of obs and state. `mappo` is that of MAPPO's wrapper around SMAC, used by HMASD's
+    authors with one state for all agents (3m: 64 and 75 numbers). `smac` is SMAC's own (30, 48)."""
     time_limit: int | None = None
-    """Environment steps of an episode; None takes the scenario's."""
+    """Time limit of an episode in environment steps; None takes that of the scenario."""
 
     def __post_init__(self) -> None:
-        if isinstance(self.scenario, str) and self.scenario not in SCENARIOS:
-            known = ", ".join(SCENARIOS)
+        if not isinstance(self.scenario, Scenario) and self.scenario not in SCENARIOS:
+            hint = suggest(self.scenario, SCENARIOS)
             raise ValueError(
-                f"scenario {self.scenario!r} is unknown; choose from {known}, or give a Scenario"
+                f"scenario {self.scenario!r} is unknown{hint}; give a known name or a Scenario"
             )
         check_choice("balance", self.balance, Balance)
         check_choice("observation", self.observation, Observation)
-        if self.time_limit is not None and self.time_limit < 1:
-            raise ValueError(f"time_limit must be at least 1 or None, got {self.time_limit}")
+        if self.time_limit is not None:
+            check_whole("time_limit", self.time_limit)
 
     @property
-    def layout(self) -> Scenario:
-        """The scenario itself, if it was given by name."""
+    def resolved_scenario(self) -> Scenario:
+        """The `Scenario`, also if `scenario` is a name."""
         return SCENARIOS[self.scenario] if isinstance(self.scenario, str) else self.scenario
 
     @property
     def num_agents(self) -> int:
         """Number of allied units."""
-        return len(self.layout.allies)
+        return len(self.resolved_scenario.allies)
 
     @property
     def num_actions(self) -> int:
-        """No-op, stop, four moves, and an attack per enemy."""
-        return FIRST_ATTACK + len(self.layout.enemies)
+        """Number of actions: no-op, stop, four moves, and an attack per enemy."""
+        return FIRST_ATTACK + len(self.resolved_scenario.enemies)
 
     @property
     def obs_dim(self) -> int:
         """Length of an agent's observation vector."""
-        return sizes(self.layout, self.observation)[0]
+        return sizes(self.resolved_scenario, self.observation)[0]
 
     @property
     def state_dim(self) -> int:
         """Length of the global state vector."""
-        return sizes(self.layout, self.observation)[1]
+        return sizes(self.resolved_scenario, self.observation)[1]
 
     @property
     def max_steps(self) -> int:
         """Time limit in environment steps."""
-        return self.layout.max_steps if self.time_limit is None else self.time_limit
+        return self.resolved_scenario.max_steps if self.time_limit is None else self.time_limit
 
     @property
     def agent_names(self) -> tuple[str, ...]:
         """Names of the agents in pictures."""
-        return tuple(f"{spawn.unit} {i + 1}" for i, spawn in enumerate(self.layout.allies))
+        return tuple(
+            f"{spawn.unit} {i + 1}" for i, spawn in enumerate(self.resolved_scenario.allies)
+        )
 
     @property
     def agent_colors(self) -> tuple[tuple[int, int, int], ...]:
@@ -124,36 +128,36 @@ class MicroBattle:
         return tuple(ALLIES[i % len(ALLIES)] for i in range(self.num_agents))
 
     def reset(self, key: jax.Array) -> tuple[MicroBattleState, TimeStep]:
-        """Place all units up to 0.1 cells off where the scenario has them, in any direction."""
-        num_units = self.num_agents + len(self.layout.enemies)
-        # Half a word is random enough for a coordinate: one word per unit, and one for the goal.
+        """Start an episode with all units within the scenario's `jitter` of their positions."""
+        num_units = self.num_agents + len(self.resolved_scenario.enemies)
+        # Draw one word per unit and one for the goal. Half a word is enough for a coordinate.
         return _copies_last(self._begin)(jax.random.bits(key, (num_units + 1,)))
 
     def step(
         self, key: jax.Array, env_state: MicroBattleState, action: Int[Array, " agents"]
     ) -> tuple[MicroBattleState, TimeStep]:
-        """Carry out orders for half a second of game time."""
+        """Carry out the agents' actions for half a second of game time."""
         luck = jax.random.uniform(key, env_state.units.x.shape)
         return _copies_last(self._advance)(env_state, action, luck)
 
     def _begin(self, bits: Array) -> tuple[MicroBattleState, TimeStep]:
-        """`reset` from random words, copies last."""
-        scenario, copies = self.layout, bits.shape[1:]
-        roster = make_roster(scenario, self.balance, len(copies))
+        """Implement `reset` for random words, with copies last."""
+        scenario, copies = self.resolved_scenario, bits.shape[1:]
+        constants = unit_constants(scenario, self.balance, len(copies))
         fractions = jnp.stack([bits & 0xFFFF, bits >> 16]).astype(jnp.float32) / 2**16
-        area, turn = fractions[:, :-1]  # a point of a disc
+        area, turn = fractions[:, :-1]  # A point of a disc.
         angle = 2 * jnp.pi * turn
-        jitter = JITTER * jnp.sqrt(area) * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
+        offset = scenario.jitter * jnp.sqrt(area) * jnp.stack([jnp.cos(angle), jnp.sin(angle)])
         spawns = (*scenario.allies, *scenario.enemies)
         start = column(np.array([[s.x for s in spawns], [s.y for s in spawns]]), len(copies))
-        x, y = start + jnp.where(roster.speed > 0, jitter, 0)  # a building has its fixed place
+        x, y = start + jnp.where(constants.speed > 0, offset, 0)  # Buildings have fixed places.
         ends = column(np.array(scenario.goals or ((0, 0),), np.float32), len(copies))
         zero, nobody = jnp.zeros_like(x), jnp.full(x.shape, NOBODY, jnp.int32)
         units = Units(
             x=x,
             y=y,
-            health=zero + roster.max_health,
-            shield=zero + roster.max_shield,
+            health=zero + constants.max_health,
+            shield=zero + constants.max_shield,
             ready=zero,
             begun=zero + LONG_AGO,
             struck=zero + LONG_AGO,
@@ -174,14 +178,14 @@ class MicroBattle:
         action: Int[Array, "agents *copies"],
         luck: Float[Array, "units *copies"],
     ) -> tuple[MicroBattleState, TimeStep]:
-        """`step` with one random number per unit, copies last."""
-        scenario = self.layout
-        roster = make_roster(scenario, self.balance, luck.ndim - 1)
+        """Implement `step` for one random number per unit, with copies last."""
+        scenario = self.resolved_scenario
+        constants = unit_constants(scenario, self.balance, luck.ndim - 1)
         orders = self._read_orders(action_mask(scenario, state.units), action)
         goal = state.goal if scenario.goals else None
 
         def advance(units: Units, now: Array) -> tuple[Units, None]:
-            return tick(roster, scenario.floor, units, orders, goal, luck, now), None
+            return tick(constants, scenario.floor, units, orders, goal, luck, now), None
 
         now = jnp.arange(TICKS_PER_STEP, dtype=jnp.float32)
         units, _ = jax.lax.scan(advance, state.units, now)
@@ -196,7 +200,7 @@ class MicroBattle:
     def _read_orders(
         self, mask: Bool[Array, "agents actions *copies"], action: Int[Array, "agents *copies"]
     ) -> Orders:
-        """What actions ask of their units, if it is legal."""
+        """Turn legal actions into orders. An illegal action becomes stop."""
         ordered = [(action == index) & mask[:, index] for index in range(self.num_actions)]
         toward_x = toward_y = jnp.zeros(action.shape)
         for (dx, dy), moves in zip(DIRECTIONS, ordered[FIRST_MOVE:FIRST_ATTACK], strict=True):
@@ -204,7 +208,7 @@ class MicroBattle:
         target = jnp.full(action.shape, NOBODY, jnp.int32)
         for enemy, attacks in enumerate(ordered[FIRST_ATTACK:], start=self.num_agents):
             target = jnp.where(attacks, enemy, target)
-        enemies = jnp.zeros((len(self.layout.enemies), *action.shape[1:]))
+        enemies = jnp.zeros((len(self.resolved_scenario.enemies), *action.shape[1:]))
         return Orders(
             target=jnp.concatenate([target, enemies.astype(jnp.int32)]),
             toward_x=jnp.concatenate([toward_x, enemies]),
@@ -217,10 +221,10 @@ class MicroBattle:
 
     def _timestep(self, state: MicroBattleState, won_before: Bool[Array, "*copies"]) -> TimeStep:
         units = state.units
-        roster = make_roster(self.layout, self.balance, units.x.ndim - 1)
-        mask = action_mask(self.layout, units)
+        constants = unit_constants(self.resolved_scenario, self.balance, units.x.ndim - 1)
+        mask = action_mask(self.resolved_scenario, units)
         obs, global_state = observe(
-            self.layout, self.observation, roster, units, state.last_action, mask
+            self.resolved_scenario, self.observation, constants, units, state.last_action, mask
         )
         alive = units.health > 0
         allies, enemies = alive[: self.num_agents], alive[self.num_agents :]
@@ -241,13 +245,13 @@ class MicroBattle:
         )
 
     def render(self, env_state: MicroBattleState) -> np.ndarray:
-        """Draw the arena, its units and their shots; see `battle_render.draw`."""
-        return draw(self.layout, env_state)
+        """Draw the map, the units and their shots; see `render.draw`."""
+        return draw(self.resolved_scenario, env_state)
 
 
-@lru_cache  # so that calls without jit find what they compiled before
+@lru_cache  # Calls without jit reuse the compiled function.
 def _copies_last(function: Callable) -> Callable:
-    """Make `jax.vmap` of `function` call it with the copies axis last in all arrays."""
+    """Wrap `function` so that `jax.vmap` calls it with the copies axis last in all arrays."""
     batched = custom_vmap(jax.jit(function))
 
     @batched.def_vmap

@@ -1,8 +1,9 @@
-"""What agents of `micro_battle` see and may do, in the layouts of SMAC and of MAPPO's wrapper.
+"""Observations, global state and action masks of `micro_battle`.
 
-Arrays have units first and copies last, as in `battle_physics`. Features follow
+There are two formats, that of SMAC and that of MAPPO's wrapper around it. Features follow
 `get_obs_agent`, `get_state` and `get_avail_agent_actions` of oxwhirl/smac (starcraft2.py) and of
 marlbenchmark/on-policy (StarCraft2_Env.py) with its default flags and one state for all agents.
+Arrays have units first and copies last, as in `physics`.
 """
 
 from typing import Literal
@@ -11,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.micro_battle.constants import Roster, column
+from envs_jax.micro_battle.constants import UnitConstants, column
 from envs_jax.micro_battle.physics import Units, length
 from envs_jax.micro_battle.scenarios import Scenario, is_floor
 from envs_jax.micro_battle.unit_types import UNIT_TYPES
@@ -19,21 +20,21 @@ from envs_jax.micro_battle.unit_types import UNIT_TYPES
 Observation = Literal["mappo", "smac"]
 
 SIGHT = 9.0
-"""Distance below which an agent sees a unit, in cells, whatever is between."""
+"""Distance in cells below which an agent sees a unit, even through walls."""
 ATTACK_RANGE = 6.0
-"""Distance up to which an agent may order an attack; not the reach of its weapon."""
-DIRECTIONS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0)], np.float32)  # north, south, east, west
+"""Distance in cells up to which an attack is legal. It is not the reach of the weapon."""
+DIRECTIONS = np.array([(0, 1), (0, -1), (1, 0), (-1, 0)], np.float32)  # North, south, east, west.
 NO_OP, STOP, FIRST_MOVE, FIRST_ATTACK = 0, 1, 2, 6
 
 
 def unit_kinds(scenario: Scenario) -> tuple[str, ...]:
-    """Names of the unit types to tell apart: none where each side has but one."""
+    """Return the unit types that features tell apart: none if each side has only one type."""
     sides = [{spawn.unit for spawn in side} for side in (scenario.allies, scenario.enemies)]
     return tuple(sorted(sides[0] | sides[1])) if max(map(len, sides)) > 1 else ()
 
 
 def sizes(scenario: Scenario, observation: Observation) -> tuple[int, int]:
-    """Lengths of an agent's observation and of the global state."""
+    """Return the lengths of an agent's observation and of the global state."""
     allies, enemies = len(scenario.allies), len(scenario.enemies)
     actions = FIRST_ATTACK + enemies
     ally, enemy = (
@@ -49,10 +50,11 @@ def sizes(scenario: Scenario, observation: Observation) -> tuple[int, int]:
 
 
 def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions *copies"]:
-    """SMAC's legal actions: the dead do nothing, the living anything else.
+    """Return SMAC's legal actions.
 
-    A move is legal if the point 1 cell ahead is on the floor, an attack if the enemy lives and is
-    at most 6 cells away.
+    A dead agent can only do no-op, and a living agent can do anything else. A move is legal if the
+    point 1 cell ahead is on the floor. An attack is legal if the enemy lives and is at most 6 cells
+    away. Stop is always legal for the living.
     """
     agents = len(scenario.allies)
     x, y = units.x[:agents], units.y[:agents]
@@ -70,15 +72,29 @@ def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions
 def observe(
     scenario: Scenario,
     observation: Observation,
-    roster: Roster,
+    constants: UnitConstants,
     units: Units,
     last_action: Int[Array, "agents *copies"],
     mask: Bool[Array, "agents actions *copies"],
 ) -> tuple[Float[Array, "agents obs *copies"], Float[Array, "state *copies"]]:
-    """Observations of the agents, zero for the dead but for their index, and the global state."""
+    """Encode the observations and the global state.
+
+    The observation of a dead agent is zero except for its index.
+
+    Args:
+        scenario: The scenario.
+        observation: Format of both.
+        constants: Constants of the units.
+        units: All units.
+        last_action: Last action of each agent, -1 at reset.
+        mask: Legal actions.
+
+    Returns:
+        The observations and the global state.
+    """
     agents = len(scenario.allies)
     acted = jnp.stack([last_action == a for a in range(mask.shape[1])], axis=1)  # (N, actions, ..)
-    state = _global_state(scenario, observation, roster, units, acted)
+    state = _global_state(scenario, observation, constants, units, acted)
 
     dx, dy = units.x - units.x[:agents, None], units.y - units.y[:agents, None]
     away = length(dx, dy)  # (agents, units, *copies)
@@ -88,7 +104,7 @@ def observe(
     blocks = {}
     for side, first in (("allies", seen), ("enemies", mask[:, FIRST_ATTACK:])):
         part = slice(agents) if side == "allies" else slice(agents, None)
-        vitals = [v[part] for v in _vitals(scenario, side, roster, units)]
+        vitals = [v[part] for v in _vitals(scenario, side, constants, units)]
         shape = seen[:, part].shape
         features = [first[:, part] if side == "allies" else first, *(p[:, part] for p in place)]
         features += [jnp.broadcast_to(v, shape) for v in vitals]
@@ -99,12 +115,12 @@ def observe(
 
     here = alive[:agents, None]
     copies = here.shape[2:]
-    own = jnp.stack([v[:agents] for v in _vitals(scenario, "allies", roster, units)], axis=1)
+    own = jnp.stack([v[:agents] for v in _vitals(scenario, "allies", constants, units)], axis=1)
     moves = mask[:, FIRST_MOVE:FIRST_ATTACK]
     if observation == "smac":
         parts = [moves, blocks["enemies"], blocks["allies"], own * here]
     else:
-        at_self = column(np.array([1, 0, 0, 0]), len(copies))  # visible, distance, dx, dy
+        at_self = column(np.array([1, 0, 0, 0]), len(copies))  # Visible, distance, dx, dy.
         index = jnp.broadcast_to(column(np.eye(agents), len(copies)), (agents, agents, *copies))
         own = [at_self * here, own * here, acted & here]
         parts = [blocks["allies"], blocks["enemies"], moves, *own, index]
@@ -114,13 +130,16 @@ def observe(
 def _global_state(
     scenario: Scenario,
     observation: Observation,
-    roster: Roster,
+    constants: UnitConstants,
     units: Units,
     acted: Bool[Array, "agents actions *copies"],
 ) -> Float[Array, "state *copies"]:
-    """Health, cooldown, centered position, shield and kind of every living unit; last actions.
+    """Encode the global state.
 
-    The wrapper's form has an agent's last action with its unit, and as many zeros with each enemy.
+    It contains health, cooldown (allies only), centered position, shield and type of every living
+    unit, and the last actions. SMAC's format appends the last actions of all agents. The wrapper's
+    format puts the last action of each agent behind the features of its unit, and as many zeros
+    behind those of each enemy.
     """
     agents = len(scenario.allies)
     width, height = scenario.size
@@ -129,8 +148,8 @@ def _global_state(
     sides = []
     for side in ("allies", "enemies"):
         part = slice(agents) if side == "allies" else slice(agents, None)
-        health, *rest = _vitals(scenario, side, roster, units)
-        cooldown = [jnp.maximum(units.ready, 0) / roster.cooldown_scale] * (side == "allies")
+        health, *rest = _vitals(scenario, side, constants, units)
+        cooldown = [jnp.maximum(units.ready, 0) / constants.cooldown_scale] * (side == "allies")
         features = [jnp.where(alive, f, 0.0)[part] for f in (health, *cooldown, x, y, *rest)]
         if observation == "mappo":
             blank = jnp.zeros_like(x[part])
@@ -142,11 +161,11 @@ def _global_state(
     return jnp.concatenate(sides)
 
 
-def _vitals(scenario: Scenario, side: str, roster: Roster, units: Units) -> list[Array]:
-    """Health, shield if the side has any, and kind: what SMAC tells of a unit besides its place."""
-    vitals = [units.health / roster.max_health]
+def _vitals(scenario: Scenario, side: str, constants: UnitConstants, units: Units) -> list[Array]:
+    """Return health, shield if the side has any, and type: SMAC's features besides the position."""
+    vitals = [units.health / constants.max_health]
     if _has_shields(getattr(scenario, side)):
-        vitals.append(units.shield / np.maximum(roster.max_shield, 1))
+        vitals.append(units.shield / np.maximum(constants.max_shield, 1))
     names = [spawn.unit for spawn in (*scenario.allies, *scenario.enemies)]
     for kind in unit_kinds(scenario):
         is_kind = np.array([name == kind for name in names], np.float32)
@@ -159,7 +178,7 @@ def _has_shields(spawns) -> bool:
 
 
 def _without_self(rows: Array) -> Array:
-    """(agents, agents, ..) to (agents, agents - 1, ..): leave out the diagonal."""
+    """Remove the diagonal: (agents, agents, ...) to (agents, agents - 1, ...)."""
     agents = len(rows)
     after_self = np.arange(agents - 1) >= np.arange(agents)[:, None]
     after_self = after_self.reshape(after_self.shape + (1,) * (rows.ndim - 2))
@@ -167,5 +186,5 @@ def _without_self(rows: Array) -> Array:
 
 
 def _flat(rows: Array) -> Array:
-    """(agents, units, features, ..) to (agents, units * features, ..)."""
+    """Flatten (agents, units, features, ...) to (agents, units * features, ...)."""
     return rows.reshape(len(rows), rows.shape[1] * rows.shape[2], *rows.shape[3:])

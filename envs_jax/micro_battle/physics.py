@@ -1,9 +1,10 @@
-"""One tick of `micro_battle`, a sixteenth of a second: targets, shots, hits, steps, collisions.
+"""One tick of `micro_battle`, 1/16 s: targets, shots, hits, walking, collisions.
 
-Arrays have units first, allies before enemies, and after that any axes of copies: (units, *copies),
-or (units, units, *copies) for what a unit has to do with another. Copies last is where vector units
-of a processor want them. Units are looked up by comparing indices and reducing, not by gathers: XLA
-computes a reduction once, where it would repeat a chain of cheap operations in each of its uses.
+The first axis of arrays is units, allies before enemies, followed by any axes of copies:
+(units, *copies), or (units, units, *copies) for pairs. Copies come last because the processor's
+vector instructions work along the last axis. Units are looked up by comparing indices and reducing
+instead of by gathers: XLA computes a reduction once, but repeats a chain of cheap operations for
+each of its uses.
 """
 
 from collections.abc import Callable
@@ -15,52 +16,55 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.micro_battle.constants import Roster
+from envs_jax.micro_battle.constants import UnitConstants
 from envs_jax.micro_battle.scenarios import Rectangle, is_floor
 from envs_jax.micro_battle.unit_types import EARLIEST, LATEST, SHIELD_DELAY, TICKS_PER_SECOND
 
 NOBODY = -1
-"""In place of a unit's index."""
+"""Index that stands for no unit."""
 RESPONSE_TICKS = TICKS_PER_SECOND
-"""How long a hit makes an enemy with nobody in reach turn to the shooter."""
+"""Ticks after a hit in which an enemy with nobody in reach turns to the shooter."""
 GOAL_RADIUS = 0.3
+"""Distance in cells from its goal at which an enemy stops."""
 LONG_AGO = -1e4
+"""Time in ticks of an event that has not happened yet."""
 LEAST_WOUND = 0.5
-"""What a hit takes off health at least, whatever the armor."""
+"""Least damage of a hit to health, whatever the armor."""
 
 
 class Units(NamedTuple):
-    """What changes of all units. Times are in ticks from the start of the environment step."""
+    """State of all units. Times are in ticks from the start of the environment step."""
 
     x: Float[Array, "units *copies"]
     y: Float[Array, "units *copies"]
     health: Float[Array, "units *copies"]
-    """0 or less is dead."""
+    """Health. A unit with 0 or less is dead."""
     shield: Float[Array, "units *copies"]
     ready: Float[Array, "units *copies"]
-    """When the next attack can begin."""
+    """Time at which the next attack can begin."""
     begun: Float[Array, "units *copies"]
-    """When the last one began."""
+    """Time at which the last attack began."""
     struck: Float[Array, "units *copies"]
-    """When the unit was last hit,"""
+    """Time at which the unit was last hit."""
     shooter: Int[Array, "units *copies"]
-    """and by whom."""
+    """Index of the unit that hit it last."""
     target: Int[Array, "units *copies"]
-    """Whom the unit attacks, by index in this array."""
+    """Index of the unit that it attacks."""
 
 
 class Orders(NamedTuple):
-    """What allies are to do; enemies' rows are not looked at."""
+    """Orders for the allies. Rows of enemies are ignored."""
 
     target: Int[Array, "units *copies"]
-    """Whom to attack, walking there if need be."""
+    """Index of the unit to attack, walking there if necessary."""
     toward_x: Float[Array, "units *copies"]
+    """x of the direction in which to walk, a vector of length 1 or 0."""
     toward_y: Float[Array, "units *copies"]
-    """Direction to walk in, of length 1 or 0."""
+    """y of this direction."""
 
 
 def tick(
-    roster: Roster,
+    constants: UnitConstants,
     floor: tuple[Rectangle, ...],
     units: Units,
     orders: Orders,
@@ -71,41 +75,45 @@ def tick(
     """Advance the battle by one tick.
 
     Args:
-        roster: constants of the units, shaped for the copies at hand.
-        floor: where units can walk.
-        units: all units.
-        orders: of the allies.
-        goal: where enemies go that have no target; None to stay.
-        luck: in [0, 1), where in its bounds the delay of a weapon is. One number per environment
-            step is enough, as no weapon can begin two attacks in eight ticks.
-        now: ticks since the start of the environment step.
+        constants: Constants of the units, shaped for the axes of copies.
+        floor: Area in which units can walk.
+        units: All units.
+        orders: Orders for the allies.
+        goal: Destination of enemies without a target; None if they stay.
+        luck: Random number in [0, 1) that sets the delay of a weapon within its bounds. One number
+            per environment step is enough, as no weapon can begin two attacks in eight ticks.
+        now: Ticks since the start of the environment step.
+
+    Returns:
+        The units after the tick.
     """
-    units = recover(roster, units, now)
-    # All that follows happens where units stand now, so that distances are needed only once.
+    units = recover(constants, units, now)
+    # Targets, attacks and moves all use the positions before this tick, so distances are computed
+    # only once.
     away = length(units.x - units.x[:, None], units.y - units.y[:, None])
-    units = units._replace(target=choose_targets(roster, units, away, orders, now))
-    x, y = move(roster, floor, units, away, orders, goal, now)
-    units, hits = attack(roster, units, away, luck, now)
-    hurt = partial(take_hits, roster)
-    # On a CPU, most ticks of few copies are over without a hit, and XLA then computes `hits` once
-    # and not for each pair of units. An accelerator would only wait for the answer.
+    units = units._replace(target=choose_targets(constants, units, away, orders, now))
+    x, y = move(constants, floor, units, away, orders, goal, now)
+    units, hits = attack(constants, units, away, luck, now)
+    apply_hits = partial(take_hits, constants)
+    # With few copies most ticks have no hit. On a CPU this branch skips them, and makes XLA compute
+    # `hits` once instead of for each pair of units. An accelerator would only wait for the branch.
     units = jax.lax.platform_dependent(
-        units, hits, now, cpu=partial(_where_any, hurt), default=hurt
+        units, hits, now, cpu=partial(_if_any, apply_hits), default=apply_hits
     )
     return units._replace(x=x, y=y)
 
 
-def _where_any(function: Callable, units: Units, hits: Array, now: Array) -> Units:
-    """`function`, if there are any hits at all."""
+def _if_any(function: Callable, units: Units, hits: Array, now: Array) -> Units:
+    """Call `function` if there are any hits at all."""
     return jax.lax.cond(hits.any(), function, lambda units, *_: units, units, hits, now)
 
 
-def recover(roster: Roster, units: Units, now: Array) -> Units:
-    """Regenerate health, and shields that were not hit for a while."""
+def recover(constants: UnitConstants, units: Units, now: Array) -> Units:
+    """Regenerate health, and shields of units that were not hit during `SHIELD_DELAY`."""
     alive = units.health > 0
     rested = alive & (now - units.struck >= SHIELD_DELAY * TICKS_PER_SECOND)
-    health = jnp.minimum(units.health + roster.health_regeneration, roster.max_health)
-    shield = jnp.minimum(units.shield + roster.shield_regeneration, roster.max_shield)
+    health = jnp.minimum(units.health + constants.health_regeneration, constants.max_health)
+    shield = jnp.minimum(units.shield + constants.shield_regeneration, constants.max_shield)
     return units._replace(
         health=jnp.where(alive, health, units.health),
         shield=jnp.where(rested, shield, units.shield),
@@ -113,75 +121,81 @@ def recover(roster: Roster, units: Units, now: Array) -> Units:
 
 
 def choose_targets(
-    roster: Roster, units: Units, away: Array, orders: Orders, now: Array
+    constants: UnitConstants, units: Units, away: Array, orders: Orders, now: Array
 ) -> Int[Array, "units *copies"]:
-    """Give allies the targets they are ordered to attack, and enemies their own choice.
+    """Choose the target of each unit: by order for allies, by a fixed rule for enemies.
 
-    An ally attacks nobody without an order. An enemy takes the first of
+    An ally without an order attacks nobody. An enemy attacks the first of
 
-    1. its target, while that is alive and in reach;
-    2. who hit it within the last second, alive and within 9 cells (in reach, if it cannot walk);
+    1. its current target, if alive and in reach;
+    2. the ally that hit it within the last second, if alive and within 9 cells (in reach, for an
+       enemy that cannot walk);
     3. the nearest ally within its scan range;
     4. nobody.
 
-    A hit on its way holds the target. Rules 1, 3 and 4 are those of SMAC's maps, which order
-    enemies to attack-move once; that a zealot turns to who hit it is inferred from SMAC's
-    description of 2m_vs_1z ("alternating fire").
+    A unit keeps its target while a hit of its attack is still to come. Rules 1, 3 and 4 are those
+    of SMAC's maps, which order enemies to attack-move once. Rule 2 is inferred from SMAC's
+    description of 2m_vs_1z ("alternating fire"), according to which a zealot turns to whoever hit
+    it.
     """
-    allies = np.s_[: int((~roster.is_enemy).sum())]
-    index, alive = roster.index[allies], units.health[allies] > 0
+    allies = np.s_[: int((~constants.is_enemy).sum())]
+    index, alive = constants.index[allies], units.health[allies] > 0
     away = away[:, allies]  # (units, allies, *copies)
     hit_by = units.shooter[:, None] == index
     hit_by &= (now - units.struck <= RESPONSE_TICKS)[:, None]
-    # The rules as one number, of which the least is taken.
-    score = jnp.where(alive & (away <= roster.scan[:, allies]), away, jnp.inf)
-    score = jnp.where(alive & hit_by & (away <= roster.response[:, allies]), -1, score)
-    kept = (units.target[:, None] == index) & (away <= roster.reach[:, allies])
+    # Express the rules as one score per ally; the lowest wins.
+    score = jnp.where(alive & (away <= constants.scan[:, allies]), away, jnp.inf)
+    score = jnp.where(alive & hit_by & (away <= constants.response[:, allies]), -1, score)
+    kept = (units.target[:, None] == index) & (away <= constants.reach[:, allies])
     score = jnp.where(alive & kept, -2, score)
     is_best = (score == score.min(1, keepdims=True)) & (score < jnp.inf)
-    chosen = jnp.where(is_best, index, len(roster.index)).min(1)
-    chosen = jnp.where(chosen == len(roster.index), NOBODY, chosen)
-    holds = now - units.begun <= roster.windup + roster.second_hit
-    return jnp.where(holds, units.target, jnp.where(roster.is_enemy, chosen, orders.target))
+    chosen = jnp.where(is_best, index, len(constants.index)).min(1)
+    chosen = jnp.where(chosen == len(constants.index), NOBODY, chosen)
+    holds = now - units.begun <= constants.windup + constants.second_hit
+    return jnp.where(holds, units.target, jnp.where(constants.is_enemy, chosen, orders.target))
 
 
 def attack(
-    roster: Roster, units: Units, away: Array, luck: Float[Array, "units *copies"], now: Array
+    constants: UnitConstants,
+    units: Units,
+    away: Array,
+    luck: Float[Array, "units *copies"],
+    now: Array,
 ) -> tuple[Units, Bool[Array, "units *copies"]]:
-    """Begin attacks and carry on with those that have begun.
+    """Begin new attacks and continue those that have begun.
 
     Returns:
-        The units, and whether each lands a hit on its target now.
+        The units, and for each unit whether it hits its target in this tick.
     """
     alive = units.health > 0
-    in_reach = is_target(roster, units) & alive & (away <= roster.reach)
+    in_reach = is_target(constants, units) & alive & (away <= constants.reach)
     possible = alive & in_reach.any(1)
-    elapsed, until_hit = now - units.begun, roster.windup + roster.second_hit
-    # Weapons with a wind-up miss whoever has left, and can attack anew at once.
-    misses = (roster.windup > 0) & (elapsed <= until_hit) & ~possible
+    elapsed, until_hit = now - units.begun, constants.windup + constants.second_hit
+    # A weapon with a wind-up misses a target that has left, and can attack again at once.
+    misses = (constants.windup > 0) & (elapsed <= until_hit) & ~possible
     begins = possible & (elapsed > until_hit) & (units.ready <= now)
     lands = alive & (until_hit > 0) & (elapsed == until_hit) & ~misses
     delay = (EARLIEST + (LATEST - EARLIEST) * luck) * TICKS_PER_SECOND
-    ready = jnp.where(begins, now + roster.period + delay, units.ready)
+    ready = jnp.where(begins, now + constants.period + delay, units.ready)
     begun = jnp.where(begins, now, units.begun)
     units = units._replace(
         ready=jnp.where(misses, now, ready), begun=jnp.where(misses, LONG_AGO, begun)
     )
-    return units, lands | (begins & (roster.windup == 0))
+    return units, lands | (begins & (constants.windup == 0))
 
 
 def take_hits(
-    roster: Roster, units: Units, hits: Bool[Array, "units *copies"], now: Array
+    constants: UnitConstants, units: Units, hits: Bool[Array, "units *copies"], now: Array
 ) -> Units:
-    """Subtract what hits take, one attacker after the other: shields first, then health."""
-    lands = hits[:, None] & is_target(roster, units)  # (attackers, victims, *copies)
-    damage = jnp.where(lands, roster.damage, 0)
+    """Subtract the damage of hits, one attacker after the other, from shields and then health."""
+    lands = hits[:, None] & is_target(constants, units)  # (attackers, victims, *copies)
+    damage = jnp.where(lands, constants.damage, 0)
     total = wounds = 0
     for attacker in range(len(damage)):
         before, total = total, total + damage[attacker]
         left = jnp.maximum(total - jnp.maximum(units.shield, before), 0)
-        wounds += jnp.where(left > 0, jnp.maximum(left - roster.armor, LEAST_WOUND), 0)
-    last = jnp.where(lands, roster.index[:, None], NOBODY).max(0)
+        wounds += jnp.where(left > 0, jnp.maximum(left - constants.armor, LEAST_WOUND), 0)
+    last = jnp.where(lands, constants.index[:, None], NOBODY).max(0)
     is_hit = last != NOBODY
     return units._replace(
         health=units.health - wounds,
@@ -192,7 +206,7 @@ def take_hits(
 
 
 def move(
-    roster: Roster,
+    constants: UnitConstants,
     floor: tuple[Rectangle, ...],
     units: Units,
     away: Array,
@@ -200,21 +214,22 @@ def move(
     goal: Float[Array, "2 *copies"] | None,
     now: Array,
 ) -> tuple[Array, Array]:
-    """Walk and be pushed apart.
+    """Walk, and push overlapping units apart.
 
-    A unit walks to its target if that is out of reach, else where orders or the goal say, and
-    slides along walls: it goes as far as it can along each axis.
+    A unit with a target walks to it until it is in reach. A unit without one walks as its orders or
+    its goal say. Units slide along walls: a move into a wall keeps the part along one axis if that
+    stays on the floor.
 
     Returns:
-        New x and y.
+        The new x and y.
     """
     alive = units.health > 0
-    is_free = alive & (now - units.begun >= roster.stand)
-    pace = jnp.where(is_free, roster.speed, 0)
-    attacked = is_target(roster, units) & alive
-    chase = jnp.where(attacked & (away > roster.reach), pace[:, None], 0)
-    overlap = jnp.where(alive & alive[:, None], jnp.maximum(roster.body - away, 0), 0)
-    pull = (chase - overlap * roster.yielding) / jnp.maximum(away, 1e-3)
+    is_free = alive & (now - units.begun >= constants.stand)
+    pace = jnp.where(is_free, constants.speed, 0)
+    attacked = is_target(constants, units) & alive
+    chase = jnp.where(attacked & (away > constants.reach), pace[:, None], 0)
+    overlap = jnp.where(alive & alive[:, None], jnp.maximum(constants.body - away, 0), 0)
+    pull = (chase - overlap * constants.yielding) / jnp.maximum(away, 1e-3)
     dx = (pull * (units.x - units.x[:, None])).sum(1)
     dy = (pull * (units.y - units.y[:, None])).sum(1)
 
@@ -223,8 +238,8 @@ def move(
         goal_x, goal_y = goal[0] - units.x, goal[1] - units.y
         to_goal = length(goal_x, goal_y)
         scale = jnp.where(to_goal > GOAL_RADIUS, 1 / to_goal, 0)
-        toward_x = jnp.where(roster.is_enemy, goal_x * scale, toward_x)
-        toward_y = jnp.where(roster.is_enemy, goal_y * scale, toward_y)
+        toward_x = jnp.where(constants.is_enemy, goal_x * scale, toward_x)
+        toward_y = jnp.where(constants.is_enemy, goal_y * scale, toward_y)
     pace = jnp.where(attacked.any(1), 0, pace)
     x, y = units.x + dx + pace * toward_x, units.y + dy + pace * toward_y
 
@@ -233,11 +248,11 @@ def move(
     return jnp.where(both | along_x, x, units.x), jnp.where(both | along_y, y, units.y)
 
 
-def is_target(roster: Roster, units: Units) -> Bool[Array, "units units *copies"]:
-    """Whether the first unit attacks the second."""
-    return units.target[:, None] == roster.index
+def is_target(constants: UnitConstants, units: Units) -> Bool[Array, "units units *copies"]:
+    """Test for each pair whether the first unit attacks the second."""
+    return units.target[:, None] == constants.index
 
 
 def length(x: Array, y: Array) -> Array:
-    """Of a vector."""
+    """Return the length of a vector."""
     return jnp.sqrt(x * x + y * y)

@@ -25,7 +25,7 @@ HEALTH, SHIELD, LOST = (70, 180, 80), (80, 160, 235), (120, 120, 120)
 
 
 class Canvas:
-    """An image in the scenario's coordinates, y up."""
+    """Image in the coordinates of the scenario, with y upwards."""
 
     def __init__(self, floor: tuple) -> None:
         self.left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
@@ -39,7 +39,7 @@ class Canvas:
         self.pixels = np.full((rows, cols, 3), WALL, np.float32)
 
     def paint(self, inside: Callable, color: tuple, box: tuple, opacity: float = 1.0) -> None:
-        """Color where `inside(x, y)` is true, within box (left, bottom, right, top)."""
+        """Paint the points with `inside(x, y)` in the box (left, bottom, right, top)."""
         cols = np.flatnonzero((self.x[0] >= box[0]) & (self.x[0] <= box[2]))
         rows = np.flatnonzero((self.y[:, 0] >= box[1]) & (self.y[:, 0] <= box[3]))
         if not len(cols) or not len(rows):
@@ -51,12 +51,12 @@ class Canvas:
         self.pixels[part][mask] = (1 - opacity) * old + opacity * np.array(color)
 
     def disc(self, x: float, y: float, radius: float, color: tuple, opacity: float = 1.0) -> None:
-        """A filled circle."""
+        """Paint a filled circle."""
         box = (x - radius, y - radius, x + radius, y + radius)
         self.paint(lambda u, v: np.hypot(u - x, v - y) <= radius, color, box, opacity)
 
     def polygon(self, x: float, y: float, radius: float, corners: int, turn: float, color: tuple):
-        """A filled regular polygon with a corner at angle `turn`."""
+        """Paint a filled regular polygon with a corner at angle `turn`."""
         normals = turn + np.pi / corners + 2 * np.pi * np.arange(corners) / corners
         inner = radius * np.cos(np.pi / corners)
 
@@ -67,7 +67,7 @@ class Canvas:
         self.paint(inside, color, (x - radius, y - radius, x + radius, y + radius))
 
     def segment(self, start: tuple, end: tuple, width: float, color: tuple, opacity: float = 1.0):
-        """A straight line with round ends."""
+        """Paint a straight line with round ends."""
         (x0, y0), (x1, y1) = start, end
         dx, dy = x1 - x0, y1 - y0
         square = max(dx * dx + dy * dy, 1e-9)
@@ -81,11 +81,11 @@ class Canvas:
         self.paint(inside, color, box, opacity)
 
     def rectangle(self, left, bottom, right, top, color: tuple) -> None:
-        """A filled rectangle."""
+        """Paint a filled rectangle."""
         self.paint(lambda u, v: np.True_, color, (left, bottom, right, top))
 
     def image(self) -> np.ndarray:
-        """The picture at its final size, uint8."""
+        """Return the picture at its final size, uint8 (height, width, 3)."""
         rows, cols = (size // SMOOTH for size in self.pixels.shape[:2])
         blocks = self.pixels[: rows * SMOOTH, : cols * SMOOTH]
         mean = blocks.reshape(rows, SMOOTH, cols, SMOOTH, 3).mean((1, 3))
@@ -93,11 +93,18 @@ class Canvas:
 
 
 def draw(scenario: Scenario, env_state) -> np.ndarray:
-    """The arena, and per living unit its body, health and shield, and the shot of this step.
+    """Draw the map, the living units with health and shields, and the shots of the last step.
 
-    Agents have a color each, enemies are red. Marines are discs, zealots triangles with blades,
-    stalkers squares on legs, spine crawlers stars; the notch looks at whom a unit attacks. Shots
-    are blue lines (the agents') and red ones. The dead leave a cross.
+    Each agent has its own color, enemies are red. Marines are discs, zealots triangles with blades,
+    stalkers squares on legs, and spine crawlers octagons. A notch points to the target of a unit.
+    Shots of agents are blue lines, those of enemies red ones. Dead units leave a cross.
+
+    Args:
+        scenario: The scenario.
+        env_state: Unbatched `MicroBattleState`.
+
+    Returns:
+        Image, uint8 (height, width, 3).
     """
     units = Units(*map(np.asarray, env_state.units))  # pyrefly: ignore
     canvas = Canvas(scenario.floor)

@@ -1,68 +1,75 @@
-"""Scenarios of `micro_battle`: who fights whom, where, and for how long.
+"""Scenarios of `micro_battle`: units, starting positions, walls, goals and time limits.
 
-Positions are (x, y) in cells, y up. Those of 3m, 2s_vs_1sc and 2m_vs_1z, their walls, goals and
-time limits are read from SMAC's own map archives (oxwhirl/smac, SMAC_Maps). Of 5m_vs_6m, 2s3z and
-3s_vs_5z, which are examples, only units and time limits are SMAC's.
+Positions are (x, y) in cells, with y upwards. Positions, walls, goals and time limits of 3m,
+2s_vs_1sc and 2m_vs_1z are read from SMAC's own map archives (oxwhirl/smac, SMAC_Maps). 5m_vs_6m,
+2s3z and 3s_vs_5z are examples that share only units and time limits with SMAC.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from envs_jax.choices import check_whole, suggest
 from envs_jax.micro_battle.unit_types import UNIT_TYPES
 
 Rectangle = tuple[int, int, int, int]
 Point = tuple[float, float]
 
-JITTER = 0.1
-"""How far off its place a unit starts at most, in any direction."""
-
 
 @dataclass(frozen=True)
 class Spawn:
-    """One unit and where it starts."""
+    """Unit and its starting position."""
 
     unit: str
-    """A name in `battle_units.UNIT_TYPES`."""
+    """Name of its type in `unit_types.UNIT_TYPES`."""
     x: float
     y: float
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A battle. Allies are the agents, in this order; enemies are numbered in theirs.
+    """Units, map and time limit of a battle.
+
+    The allies are the agents, in the given order. Enemies are numbered in the given order too.
 
     Raises:
-        ValueError: no units on a side, an unknown unit, no floor, a unit that starts in a wall or
-            in another unit, a goal in a wall, more than two goals, or a limit below 1.
+        ValueError: A side has no units, a unit is unknown, there is no floor, a unit starts in a
+            wall or in another unit, a goal is in a wall, there are more than two goals, or
+            `max_steps` or `jitter` is out of range.
     """
 
     allies: tuple[Spawn, ...]
-    """The agents' units, up to 0.1 cells from where each episode starts."""
+    """Units of the agents. An episode starts them within `jitter` of these positions."""
     enemies: tuple[Spawn, ...]
-    """The other side, likewise."""
+    """Units of the other side, likewise."""
     floor: tuple[Rectangle, ...]
-    """Where units can walk: the union of rectangles (left, bottom, right, top)."""
+    """Area in which units can walk: a union of rectangles (left, bottom, right, top)."""
     goals: tuple[Point, ...] = ()
-    """Where enemies go, attacking whom they meet: nowhere, to a point, or to a point of the line
-    between two, drawn for each episode."""
+    """Destination of the enemies, which attack whom they meet on the way. Without goals they stay.
+    With one they walk there. With two they walk to a point of the line between them, drawn for each
+    episode."""
     max_steps: int = 100
-    """Time limit in environment steps, of 0.5 s each."""
+    """Time limit in environment steps of 0.5 s each."""
     size: tuple[int, int] = (32, 32)
-    """Width and height of the map, which positions in the global state are relative to."""
+    """Width and height of the map in cells. They scale positions in the global state."""
+    jitter: float = 0.1
+    """Largest distance in cells between the given position of a unit and its start in an episode.
+    Starts are uniform over the disc of this radius, except that buildings have fixed places."""
 
     def __post_init__(self) -> None:
-        if self.max_steps < 1:
-            raise ValueError(f"max_steps must be at least 1, got {self.max_steps}")
+        check_whole("max_steps", self.max_steps)
+        if not (math.isfinite(self.jitter) and self.jitter >= 0):
+            raise ValueError(f"jitter must be finite and at least 0, got {self.jitter}")
         if not self.floor or any(x0 >= x1 or y0 >= y1 for x0, y0, x1, y1 in self.floor):
             raise ValueError(
-                f"floor must be rectangles (left, bottom, right, top) that are not empty, "
+                "floor must be rectangles (left, bottom, right, top) that are not empty, "
                 f"got {self.floor}"
             )
         for side in ("allies", "enemies"):
             self._check_units(side)
         if len(self.goals) > 2:
-            raise ValueError(f"goals must be none, one point or two, got {len(self.goals)}")
+            raise ValueError(f"goals must hold no, one or two points, got {len(self.goals)}")
         for goal in self.goals:
             if not is_floor(self.floor, *goal):
                 raise ValueError(f"goals: {goal} is in a wall; move it onto the floor")
@@ -74,24 +81,28 @@ class Scenario:
         for index, spawn in enumerate(spawns):
             where = f"{side}[{index}]"
             if spawn.unit not in UNIT_TYPES["multi"]:
-                known = ", ".join(UNIT_TYPES["multi"])
-                raise ValueError(f"{where}: unknown unit {spawn.unit!r}; choose from {known}")
+                hint = suggest(spawn.unit, UNIT_TYPES["multi"])
+                raise ValueError(f"{where}: unit {spawn.unit!r} is unknown{hint}")
             if side == "allies" and not UNIT_TYPES["multi"][spawn.unit].speed:
-                raise ValueError(f"{where}: a {spawn.unit} cannot move, so it cannot be an agent's")
-            offsets = (-JITTER, JITTER)
+                raise ValueError(
+                    f"{where}: a {spawn.unit} cannot move; choose a unit that can for an agent"
+                )
+            offsets = (-self.jitter, self.jitter)
             corners = [(spawn.x + dx, spawn.y + dy) for dx in offsets for dy in offsets]
             if not all(is_floor(self.floor, x, y) for x, y in corners):
                 raise ValueError(
                     f"{where}: the {spawn.unit} at ({spawn.x}, {spawn.y}) starts in a wall, or "
-                    f"less than {JITTER} from one; move it onto the floor"
+                    f"less than {self.jitter} from one; move it onto the floor"
                 )
             others = (*self.allies, *self.enemies)
             if sum((o.x, o.y) == (spawn.x, spawn.y) for o in others) > 1:
-                raise ValueError(f"{where}: another unit starts at ({spawn.x}, {spawn.y}) too")
+                raise ValueError(
+                    f"{where}: another unit also starts at ({spawn.x}, {spawn.y}); move one of them"
+                )
 
 
 def is_floor(floor: Sequence[tuple[float, float, float, float]], x: Any, y: Any) -> Any:
-    """Whether points are in any of the rectangles; numbers or arrays of one shape."""
+    """Test whether points, given as numbers or as arrays of one shape, are in any rectangle."""
     inside = False
     for left, bottom, right, top in floor:
         inside = inside | (left <= x) & (x < right) & (bottom <= y) & (y < top)
@@ -99,7 +110,7 @@ def is_floor(floor: Sequence[tuple[float, float, float, float]], x: Any, y: Any)
 
 
 def line(unit: str, count: int, x: float, y: float, spacing: float = 0.8) -> tuple[Spawn, ...]:
-    """`count` units one above the other, centered at (x, y)."""
+    """Place `count` units one above the other, centered at (x, y) and `spacing` cells apart."""
     return tuple(
         Spawn(unit, x, round(y + spacing * (index - (count - 1) / 2), 3)) for index in range(count)
     )
@@ -152,4 +163,4 @@ SCENARIOS: dict[str, Scenario] = {
         max_steps=250,
     ),
 }
-"""Those that have a name."""
+"""Scenarios by name."""

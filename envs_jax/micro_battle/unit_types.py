@@ -1,8 +1,8 @@
-"""Unit types of `micro_battle`: what each can take, how it moves and what its weapon does.
+"""Unit types of `micro_battle`: health, movement and weapons.
 
-The numbers are those of StarCraft II's own data files (SC2Mapster/SC2GameData at 4.6.2 and 4.10,
-where they agree), in cells and in seconds of the game at "normal" speed. Published tables mostly
-give seconds at "faster" speed, which are 1.4 times as long: the two do not mix.
+The numbers come from StarCraft II's own data files (SC2Mapster/SC2GameData at 4.6.2 and 4.10, which
+agree), in cells and in seconds of the game at "normal" speed. Most published tables give seconds at
+"faster" speed, which are 1.4 times as long. Do not mix the two.
 """
 
 from dataclasses import dataclass, replace
@@ -13,49 +13,51 @@ Balance = Literal["multi", "liberty"]
 TICKS_PER_SECOND = 16
 """Ticks of the simulation (game loops) in a second at normal speed."""
 SHIELD_DELAY = 10.0
-"""Seconds without damage after which shields come back."""
+"""Seconds without damage after which shields regenerate."""
 EARLIEST, LATEST = -0.0625, 0.125
-"""Bounds in seconds of the random time that every shot adds to its weapon's period."""
+"""Bounds in seconds of the random delay that every shot adds to the period of its weapon."""
 
 
 @dataclass(frozen=True)
 class UnitType:
-    """One type of unit; distances in cells, times in seconds."""
+    """Unit type, with distances in cells and times in seconds."""
 
     health: float
     shield: float = 0.0
     armor: float = 0.0
-    """Taken off every hit on health, not on shields."""
+    """Subtracted from every hit on health, not from hits on shields."""
     armored: bool = False
-    """Whether weapons with a bonus against armored units have it here."""
+    """If True, weapons with a bonus against armored units apply it to this unit."""
     radius: float = 0.375
-    """From where ranges count: they go from edge to edge."""
+    """Radius for ranges, which are measured from edge to edge."""
     body: float = 0.375
     """Radius at which units push each other apart."""
     speed: float = 0.0
-    """Cells per second; 0 cannot be moved, nor pushed."""
+    """Cells per second. A unit of speed 0 cannot be pushed either."""
     damage: float = 0.0
-    """Of one hit."""
+    """Damage of one hit."""
     bonus: float = 0.0
-    """More of it against armored units."""
+    """Additional damage against armored units."""
     period: float = 1.0
-    """Between two attacks, random delay aside."""
+    """Time between two attacks, without the random delay."""
     reach: float = 0.0
-    """How far the weapon carries."""
+    """Range of the weapon."""
     scan: float = 5.0
-    """How far an enemy looks for someone to attack."""
+    """Range in which an enemy looks for a target."""
     windup: float = 0.0
-    """From an attack to its hit, which is lost, and the attack free again, if the target leaves."""
+    """Time from the start of an attack to its hit. If the target leaves the range before the hit,
+    the hit is lost and the unit can attack again at once."""
     second_hit: float = 0.0
-    """From an attack's first hit to its second, which nothing averts; 0 has only one."""
+    """Time from the first hit of an attack to a second, which always lands; 0 for a single hit."""
     backswing: float = 0.0
-    """How long an enemy stands still after it attacked; orders cut that short for allies."""
+    """Time for which an enemy stands still after an attack. Allies do not, because their orders
+    interrupt it."""
     shield_regeneration: float = 0.0
-    """Points per second, once `SHIELD_DELAY` is over."""
+    """Points per second, after `SHIELD_DELAY`."""
     health_regeneration: float = 0.0
     """Points per second, always."""
     cooldown_scale: float = 1.0
-    """What the global state divides cooldowns by, in ticks (SMAC's `unit_max_cooldown`)."""
+    """Ticks by which the global state divides cooldowns (SMAC's `unit_max_cooldown`)."""
 
 
 MARINE = UnitType(
@@ -127,4 +129,5 @@ UNIT_TYPES: dict[Balance, dict[str, UnitType]] = {
         "spine_crawler": replace(SPINE_CRAWLER, period=1.6),
     },
 }
-"""By balance and name: of multiplayer games, and of the campaign that SMAC's maps build on."""
+"""Unit types by balance and name: `multi` is that of multiplayer games, `liberty` that of the
+campaign on which SMAC's maps build."""

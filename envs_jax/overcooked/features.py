@@ -1,15 +1,24 @@
-"""The hand-made features of Overcooked: `featurize_state` of `overcooked_ai`, 96 numbers a cook.
+"""Hand-made features of Overcooked: `featurize_state` of `overcooked_ai`, 96 numbers per cook.
 
-What a cook sees of the map is fixed by its pose (where it stands and where it turns), so it is
-looked up; what the pots hold is filled in. As in the original with its default planner, objects
-on counters and the time are not seen.
+The pose of a cook (cell and orientation) determines all that it sees of the map, so these features
+are looked up, and the contents of the pots are added. As in the original with its default planner,
+objects on counters and the time are not observed.
 
-Of one cook (46): orientation (4: N S E W); held (4: onion, soup, dish, tomato); dx, dy to the
-closest onions, tomatoes (0), dishes and soup (0); onions and tomatoes (0) in a held soup; dx, dy to
-the closest serving window and empty counter (0); of each of the two closest pots whether it exists,
-is empty, full, cooking, ready, its onions and tomatoes (0), the steps until it is ready, and dx, dy
-(10); whether there is no floor at N S E W (4). An observation (96) is one's own 46, the other's 46,
-dx, dy to the other, and one's own x, y. What is held is (0, 0) away, as is what cannot be reached.
+Each cook has 46 features. Those marked (0) are always 0: there are no tomatoes, and the default
+planner ignores counters.
+
+- orientation (4: N S E W)
+- held item (4: onion, soup, dish, tomato)
+- dx, dy to the closest onions, tomatoes (0), dishes and soup (0)
+- onions and tomatoes (0) in a held soup
+- dx, dy to the closest serving window and empty counter (0)
+- for each of the two closest pots (10): exists, is empty, is full, is cooking, is ready, its onions
+  and tomatoes (0), steps until it is ready, dx, dy
+- for each of N S E W, 1 if there is no floor (4)
+
+An observation (96) is the observer's own 46 features, those of the other cook, dx, dy to the other
+cook, and the observer's x, y. dx, dy are (0, 0) to a kind of item that is held and to anything that
+cannot be reached.
 """
 
 from collections import deque
@@ -41,7 +50,7 @@ from envs_jax.overcooked.rules import (
 COOK_FEATURES = 46
 OBS_DIM = 2 * COOK_FEATURES + 4
 HELD, TO_ONIONS, TO_DISHES, SOUP_ONIONS, TO_SERVING, FIRST_POT, WALLS = 4, 8, 12, 16, 18, 22, 42
-"""Where among the 46 features these begin."""
+"""First index of these groups among the 46 features."""
 POTS_SEEN, POT_FEATURES, TO_POT = 2, 10, 8
 NUM_POT_STATES = NUM_CELL_STATES - POT
 HELD_ORDER = {ONION: 0, SOUP + 1: 1, SOUP + 2: 1, SOUP + 3: 1, DISH: 2}
@@ -49,25 +58,25 @@ OWN, OTHER, TO_OTHER, XY = slice(0, 46), slice(46, 92), slice(92, 94), slice(94,
 
 
 class Tables(NamedTuple):
-    """Rows of 96 whose sum is an observation."""
+    """Rows of 96 numbers that sum to an observation, and the indices to find them."""
 
     cook_row: np.ndarray
-    """(poses * items,), the row of a cook; 0, zeros, for poses off the floor."""
+    """Row for each pose and item, (poses * items,). Poses off the floor have row 0, all zeros."""
     own: np.ndarray
-    """(rows, 96), what one's own pose and hand tell."""
+    """Features that follow from the observer's pose and item, (rows, 96)."""
     other: np.ndarray
-    """(rows, 96), what those of the other tell."""
+    """Features that follow from the other cook's pose and item, (rows, 96)."""
     pot_row: np.ndarray
-    """(pots, poses * pot states), the row of a pot; 0, zeros, for a pot that is not seen."""
+    """Row for a pot, (pots, poses * pot states). Pots not observed have row 0, all zeros."""
     own_pot: np.ndarray
-    """(rows, 96), what the pots close to oneself tell."""
+    """Features of a pot close to the observer, (rows, 96)."""
     other_pot: np.ndarray
-    """(rows, 96), what those close to the other tell."""
+    """Features of a pot close to the other cook, (rows, 96)."""
 
 
 @lru_cache
 def tables(layout: str) -> Tables:
-    """Write down every summand of the observations in a kitchen."""
+    """Compute every summand of the observations in a kitchen."""
     kitchen = read(layout)
     floor = np.flatnonzero(kitchen.grid == FLOOR).tolist()
     poses = [4 * cell + turn for cell in floor for turn in range(4)]
@@ -78,7 +87,7 @@ def tables(layout: str) -> Tables:
     for number, pose in enumerate(poses):
         rows = 1 + number * NUM_ITEMS + np.arange(NUM_ITEMS)
         cook_row[pose] = rows
-        features, pots = _see(kitchen, pose)
+        features, pots = _features_of_pose(kitchen, pose)
         own[rows, OWN] = other[rows, OTHER] = features
         own[rows, XY] = other[rows, TO_OTHER] = kitchen.xy(pose // 4)
         own[rows, TO_OTHER] = -kitchen.xy(pose // 4)
@@ -93,8 +102,13 @@ def tables(layout: str) -> Tables:
     return Tables(cook_row.ravel(), own, other, pot_row, own_pot, other_pot)
 
 
-def _see(kitchen: Kitchen, pose: int) -> tuple[np.ndarray, list[int]]:
-    """From one pose: features (items, 46), without what pots hold, and the pots seen, in order."""
+def _features_of_pose(kitchen: Kitchen, pose: int) -> tuple[np.ndarray, list[int]]:
+    """Compute the features of one pose.
+
+    Returns:
+        Features for each held item, (items, 46), without contents of pots, and the indices of the
+        observed pots, closest first.
+    """
     cell, orientation = divmod(pose, 4)
     features = np.zeros((NUM_ITEMS, COOK_FEATURES), np.int8)
     features[:, orientation] = 1
@@ -117,7 +131,7 @@ def _see(kitchen: Kitchen, pose: int) -> tuple[np.ndarray, list[int]]:
 
 
 def _pot_features() -> np.ndarray:
-    """(pot states, 10), what a pot's state tells of it; zeros for what its place does."""
+    """Return the features of a pot by its state, (pot states, 10), with zeros for dx and dy."""
     features = np.zeros((NUM_POT_STATES, POT_FEATURES), np.int8)
     for state in range(NUM_POT_STATES):
         onions, cooked = read_pot(POT + state)
@@ -130,7 +144,7 @@ def _pot_features() -> np.ndarray:
 
 
 def _distances(kitchen: Kitchen, start: int) -> dict[int, int]:
-    """Steps from a pose until a cell is faced, for every cell that can be; breadth first."""
+    """Search breadth first for the steps from a pose until each reachable cell is faced."""
     faced, seen, queue = {}, {start}, deque([(start, 0)])
     while queue:
         pose, distance = queue.popleft()
@@ -143,7 +157,7 @@ def _distances(kitchen: Kitchen, start: int) -> dict[int, int]:
 
 
 def _closest(kitchen: Kitchen, kind: int, distance: dict[int, int]) -> list[int]:
-    """The cells of a kind that can be reached, closest first; in order of cells among equals."""
+    """Return the reachable cells of a kind, closest first. Ties are in the order of cells."""
     cells = [cell for cell in np.flatnonzero(kitchen.grid == kind).tolist() if cell in distance]
     return sorted(cells, key=distance.__getitem__)
 
@@ -154,11 +168,17 @@ def observe(
     held: Int[Array, "2"],
     grid: Int[Array, " cells"],
 ) -> Float[Array, "2 96"]:
-    """The observations of two cooks, in the order given.
+    """Encode the observations of two cooks, in the order given.
 
-    Sums of rows of tables make one vectorized loop on a CPU, and a row number that is itself looked
-    up is computed once, not for each of the 96: concatenated from its parts, an observation took
-    five times as long.
+    The encoding is a sum of table rows for speed. On a CPU the sum is one vectorized loop, and the
+    index of a row is computed once instead of for each of the 96 numbers. Concatenating the parts
+    of an observation took five times as long.
+
+    Args:
+        layout: Name or text of the kitchen.
+        pose: Pose of each cook.
+        held: Item that each cook holds.
+        grid: State of each cell.
     """
     table = tables(layout)
     row = jnp.asarray(table.cook_row)[NUM_ITEMS * pose + held]

@@ -1,17 +1,17 @@
 """Kitchens of Overcooked as text.
 
-The five layouts of Carroll et al. (2019, Fig. 3) are those of `overcooked_ai`'s files. A letter is
-a cell, a line is a row: X counter, O onions, D dishes, P pot, S serving window, a blank is floor,
-and 1 and 2 are the floor that players 0 and 1 start on.
+The five layouts of Carroll et al. (2019, Fig. 3) are copied from the files of `overcooked_ai`. Each
+line is a row and each letter a cell: X counter, O onions, D dishes, P pot, S serving window, blank
+floor. 1 and 2 are the floor cells on which players 0 and 1 start.
 """
 
-import difflib
 import textwrap
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from envs_jax.choices import suggest
 from envs_jax.overcooked.rules import COUNTER, DISHES, FLOOR, ONIONS, POT, SERVING
 
 LAYOUTS = {
@@ -57,21 +57,22 @@ STATES = {
 
 
 class Kitchen(NamedTuple):
-    """A layout. Cells are numbered row by row from the top left: cell = width * y + x.
+    """Cells and geometry of a layout.
 
-    A pose is 4 * cell + orientation, in the order north, south, east, west.
+    Cells are numbered row by row from the top left: cell = width * y + x. A pose is
+    4 * cell + orientation, with orientations in the order north, south, east, west.
     """
 
     width: int
     """Number of columns."""
     grid: np.ndarray
-    """(cells,), the state of every cell at the start; `overcooked_rules` has the codes."""
+    """State of every cell at the start, (cells,), in the codes of `rules`."""
     start: np.ndarray
-    """(2,), the cell that each player starts on."""
+    """Cell on which each player starts, (2,)."""
     front: np.ndarray
-    """(poses,), the cell that is faced."""
+    """Cell that is faced, (poses,)."""
     moved: np.ndarray
-    """(poses * 6,), the pose that an action leads to if nobody is in the way."""
+    """Pose that each action leads to if nobody is in the way, (poses * 6,)."""
 
     @property
     def height(self) -> int:
@@ -80,46 +81,44 @@ class Kitchen(NamedTuple):
 
     @property
     def pots(self) -> np.ndarray:
-        """The cells that are pots, in order."""
+        """Cells that are pots, in ascending order."""
         return np.flatnonzero(self.grid == POT)
 
     def xy(self, cell: int) -> np.ndarray:
-        """(2,), x to the right and y down."""
+        """Return the coordinates of a cell, (2,): x to the right and y down."""
         return np.array([cell % self.width, cell // self.width])
 
 
 @lru_cache
 def read(layout: str) -> Kitchen:
-    """Look up the name of a layout, or read a kitchen of one's own.
+    """Read a layout given by name or as text.
 
     Args:
-        layout: a key of `LAYOUTS`, or the kitchen itself as lines of text; blank lines around it
-            and an indentation that all lines share do not count.
+        layout: Key of `LAYOUTS`, or the kitchen as lines of text. Blank lines around it and
+            indentation common to all lines are ignored.
 
     Raises:
-        ValueError: no such name, or nobody can play in this kitchen.
+        ValueError: The name is unknown, or the kitchen is not valid.
     """
-    if layout not in LAYOUTS and "\n" not in layout.strip():
-        close = difflib.get_close_matches(layout, LAYOUTS, n=1)
-        remedy = f"did you mean {close[0]!r}?" if close else f"choose from {', '.join(LAYOUTS)}"
-        raise ValueError(f"layout: there is none called {layout!r}; {remedy}")
+    if layout not in LAYOUTS and "\n" not in str(layout).strip():
+        raise ValueError(f"layout {layout!r} is unknown{suggest(layout, LAYOUTS)}")
     rows = textwrap.dedent(LAYOUTS.get(layout, layout)).strip("\n").split("\n")
     _check(rows)
     text = "".join(rows)
     width = len(rows[0])
     grid = np.array([STATES[letter] for letter in text], np.int32)
     cell = np.arange(len(grid), dtype=np.int32)[:, None]
-    # Modulo, for border cells, where nobody ever stands.
+    # The modulo keeps indices of border cells in range; nobody ever stands there.
     front = (cell + np.array([-width, width, 1, -1], np.int32)) % len(grid)
     moved = np.empty((len(grid), 4, 6), np.int32)
-    moved[:] = (4 * cell + np.arange(4))[..., None]  # staying and interacting change no pose
+    moved[:] = (4 * cell + np.arange(4))[..., None]  # Staying and interacting keep the pose.
     moved[..., :4] = (4 * np.where(grid[front] == FLOOR, front, cell) + np.arange(4))[:, None]
     start = np.array([text.index("1"), text.index("2")], np.int32)
     return Kitchen(width, grid, start, front.ravel(), moved.ravel())
 
 
 def _check(rows: list[str]) -> None:
-    """Raise a `ValueError` unless two can cook in this kitchen."""
+    """Raise a `ValueError` unless two players can cook in this kitchen."""
     for number, row in enumerate(rows, 1):
         if unknown := set(row) - set(STATES):
             raise ValueError(
@@ -135,8 +134,8 @@ def _check(rows: list[str]) -> None:
     for player in "12":
         if text.count(player) != 1:
             raise ValueError(
-                f"layout: found {text.count(player)} times {player!r}; there are exactly two "
-                "players, write one 1 and one 2"
+                f"layout: {player!r} occurs {text.count(player)} times; write exactly one 1 and "
+                "one 2 for the two players"
             )
     parts = {"P": "pot", "O": "onions", "D": "dishes", "S": "serving window"}
     for letter, part in parts.items():
@@ -144,4 +143,4 @@ def _check(rows: list[str]) -> None:
             raise ValueError(f"layout: no {part} on the map; write at least one {letter}")
     border = rows[0] + rows[-1] + "".join(row[0] + row[-1] for row in rows)
     if set(border) & set(" 12"):
-        raise ValueError("layout: the border is open; close it, for example with X")
+        raise ValueError("layout: the border has a floor cell; close it, for example with X")

@@ -1,10 +1,19 @@
-"""The whole kitchen as 26 numbers a cell: `lossless_state_encoding` of `overcooked_ai`.
+"""The whole kitchen as 26 numbers per cell: `lossless_state_encoding` of `overcooked_ai`.
 
-Channels: own place; other's place; own orientation (4: N S E W); other's orientation (4); pot;
-counter; onions to take; tomatoes to take (0); dishes to take; serving window; onions and tomatoes
-(0) in a pot that has not begun to cook; onions and tomatoes (0) in a soup, in steps until it is
-ready; whether it is; dish; onion; tomato (0), lying or in a hand; and, in all cells, whether fewer
-than 40 steps are left. Cells are in order of x, then y: (width, height, 26), flat.
+Channels, with (0) for those that are always 0 because they concern tomatoes:
+
+- 0, 1: place of the observer, of the other cook
+- 2 to 5, 6 to 9: orientation (N S E W) of the observer, of the other cook
+- 10, 11: pot, counter
+- 12 to 14: dispenser of onions, tomatoes (0), dishes
+- 15: serving window
+- 16, 17: onions, tomatoes (0) in a pot that has not started to cook
+- 18, 19: onions, tomatoes (0) in a soup
+- 20, 21: steps until the soup is ready, 1 if it is ready
+- 22 to 24: dish, onion, tomato (0), on a counter or in a hand
+- 25: 1 in all cells if fewer than 40 steps are left
+
+Cells are in order of x, then y: an observation is (width, height, 26), flattened.
 """
 
 import jax.numpy as jnp
@@ -30,44 +39,48 @@ from envs_jax.overcooked.rules import (
 
 CHANNELS = 26
 URGENT_STEPS = 40
-"""The last channel turns on when fewer steps than this are left."""
+"""The last channel is 1 when fewer steps than this are left."""
 FIXED = {ONIONS: 12, DISHES: 14, SERVING: 15}
 IS_POT, IS_COUNTER, POT_ONIONS, SOUP_ONIONS, REMAINING, IS_READY, HAS_DISH, HAS_ONION, IS_URGENT = (
     *(10, 11, 16, 18, 20, 21, 22, 23, 25),
 )
 STANDING = NUM_CELL_STATES
-"""State of a cell of floor on which someone stands, + items * (orientation, + 4 for the other)."""
+"""First state of a floor cell on which a cook stands. The state of such a cell is
+STANDING + item + 6 * (orientation + 4 * who), with who = 0 for the observer and 1 for the other."""
 NUM_STATES = STANDING + 8 * NUM_ITEMS
 
 
-def _look() -> np.ndarray:
-    """(2 * states, 26), what each state of a cell looks like; once more for when time is short."""
-    look = np.zeros((NUM_STATES, CHANNELS), np.int8)
+def _channels() -> np.ndarray:
+    """Return the channels of each cell state, (2 * states, 26).
+
+    The second half of the rows is for time steps with few steps left.
+    """
+    channels = np.zeros((NUM_STATES, CHANNELS), np.int8)
     for state, channel in FIXED.items():
-        look[state, channel] = 1
-    look[COUNTER : COUNTER + NUM_ITEMS, IS_COUNTER] = 1
+        channels[state, channel] = 1
+    channels[COUNTER : COUNTER + NUM_ITEMS, IS_COUNTER] = 1
     for first in (COUNTER, *range(STANDING, NUM_STATES, NUM_ITEMS)):
-        look[first + ONION, HAS_ONION] = 1
-        look[first + DISH, HAS_DISH] = 1
-        look[first + SOUP + 1 : first + NUM_ITEMS, IS_READY] = 1
-        look[first + SOUP + 1 : first + NUM_ITEMS, SOUP_ONIONS] = 1, 2, 3
+        channels[first + ONION, HAS_ONION] = 1
+        channels[first + DISH, HAS_DISH] = 1
+        channels[first + SOUP + 1 : first + NUM_ITEMS, IS_READY] = 1
+        channels[first + SOUP + 1 : first + NUM_ITEMS, SOUP_ONIONS] = 1, 2, 3
     for who in range(2):
         for orientation in range(4):
             first = STANDING + NUM_ITEMS * (4 * who + orientation)
-            look[first : first + NUM_ITEMS, who] = 1
-            look[first : first + NUM_ITEMS, 2 + 4 * who + orientation] = 1
+            channels[first : first + NUM_ITEMS, who] = 1
+            channels[first : first + NUM_ITEMS, 2 + 4 * who + orientation] = 1
     for state in range(POT, NUM_CELL_STATES):
         onions, cooked = read_pot(state)
-        look[state, IS_POT] = 1
-        look[state, POT_ONIONS if cooked == IDLE else SOUP_ONIONS] = onions
-        look[state, REMAINING] = 0 if cooked == IDLE else READY - cooked
-        look[state, IS_READY] = cooked == READY
-    urgent = look.copy()
+        channels[state, IS_POT] = 1
+        channels[state, POT_ONIONS if cooked == IDLE else SOUP_ONIONS] = onions
+        channels[state, REMAINING] = 0 if cooked == IDLE else READY - cooked
+        channels[state, IS_READY] = cooked == READY
+    urgent = channels.copy()
     urgent[:, IS_URGENT] = 1
-    return np.concatenate([look, urgent])
+    return np.concatenate([channels, urgent])
 
 
-LOOK = _look()
+CHANNELS_OF_STATE = _channels()
 
 
 def observe(
@@ -77,12 +90,19 @@ def observe(
     grid: Int[Array, " cells"],
     urgent: Bool[Array, ""],
 ) -> Float[Array, "2 width_height_26"]:
-    """The observations of two cooks, in the order given: every cell is looked up whole."""
+    """Encode the observations of two cooks, in the order given, by one look-up per cell.
+
+    Args:
+        kitchen: The kitchen.
+        pose: Pose of each cook.
+        held: Item that each cook holds.
+        grid: State of each cell.
+        urgent: True if fewer than `URGENT_STEPS` are left.
+    """
     order = np.arange(len(grid)).reshape(-1, kitchen.width).T.ravel()
     state = grid[order] + NUM_STATES * urgent
-    for who, view in enumerate((slice(None), slice(None, None, -1))):
-        standing = STANDING + NUM_ITEMS * (4 * who + pose[view] % 4) + held[view]
-        state = state + jnp.where(
-            order == pose[view, None] // 4, standing[:, None], 0
-        )  # (2, cells)
-    return jnp.asarray(LOOK)[state].reshape(2, -1).astype(jnp.float32)
+    for who, cooks in enumerate((np.s_[:], np.s_[::-1])):  # The observers, then the others.
+        standing = STANDING + NUM_ITEMS * (4 * who + pose[cooks] % 4) + held[cooks]
+        occupied = order == pose[cooks, None] // 4  # (2, cells)
+        state = state + jnp.where(occupied, standing[:, None], 0)
+    return jnp.asarray(CHANNELS_OF_STATE)[state].reshape(2, -1).astype(jnp.float32)

@@ -1,4 +1,4 @@
-"""Pictures of Overcooked, drawn with NumPy: smooth by drawing twice as large and averaging."""
+"""Pictures of Overcooked, drawn with NumPy at twice the size and averaged for smooth edges."""
 
 from typing import Any
 
@@ -23,8 +23,9 @@ from envs_jax.overcooked.rules import (
 )
 
 SIDE = 64
-"""Pixels of a cell."""
+"""Pixels per cell of the picture."""
 DETAIL = 2
+"""Pixels drawn per pixel shown, along each axis."""
 COOKS = ((58, 110, 196), (214, 84, 60))
 """Colors of agents 0 and 1."""
 COLORS = {
@@ -53,7 +54,7 @@ FACING = ((0, -1), (0, 1), (1, 0), (-1, 0))
 
 
 class _Canvas:
-    """An image to paint shapes on, in units of cells."""
+    """Image on which to paint shapes, in units of cells."""
 
     def __init__(self, kitchen: Kitchen) -> None:
         self.scale = SIDE * DETAIL
@@ -61,19 +62,27 @@ class _Canvas:
         self.image = np.zeros(shape, np.float32)
 
     def box(self, x: float, y: float, half: tuple, color: str, round_by: float = 0.0) -> None:
-        """A rectangle around (x, y) with rounded corners; `half` its width and height."""
+        """Paint a rectangle around (x, y).
+
+        Args:
+            x: Center, in cells to the right.
+            y: Center, in cells down.
+            half: Half of its width and of its height.
+            color: Key of `COLORS`.
+            round_by: Radius of its corners.
+        """
         part, dx, dy = self._around(x, y, half)
         outside_x = np.maximum(abs(dx) - half[0] + round_by, 0)
         outside_y = np.maximum(abs(dy) - half[1] + round_by, 0)
         part[np.hypot(outside_x, outside_y) <= round_by] = COLORS[color]
 
     def disc(self, x: float, y: float, radius: float, color: str | tuple) -> None:
-        """A disc around (x, y)."""
+        """Paint a disc around (x, y)."""
         part, dx, dy = self._around(x, y, (radius, radius))
         part[np.hypot(dx, dy) < radius] = COLORS[color] if isinstance(color, str) else color
 
     def _around(self, x: float, y: float, half: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The part of the image around (x, y), and how far its columns and rows are from it."""
+        """Return the image within `half` of (x, y), and the distances of its columns and rows."""
         left, top = (max(int((c - h) * self.scale), 0) for c, h in zip((x, y), half))
         right, bottom = (int((c + h) * self.scale) + 1 for c, h in zip((x, y), half))
         part = self.image[top:bottom, left:right]
@@ -82,7 +91,7 @@ class _Canvas:
         return part, dx, dy
 
     def item(self, x: float, y: float, item: int, size: float = 1.0) -> None:
-        """What a hand or a counter holds."""
+        """Paint an item in a hand or on a counter."""
         if item == ONION:
             self.disc(x, y, 0.17 * size, "skin")
             self.disc(x, y, 0.14 * size, "onion")
@@ -95,14 +104,14 @@ class _Canvas:
             self.bits(x, y, item - SOUP, size)
 
     def bits(self, x: float, y: float, onions: int, size: float) -> None:
-        """As many onions as a soup has."""
+        """Paint the onions of a soup."""
         for angle in np.arange(onions) * 2 * np.pi / CAPACITY - np.pi / 2:
             place = x + 0.065 * size * np.cos(angle), y + 0.065 * size * np.sin(angle)
             self.disc(*place, 0.045 * size, "thin")
 
 
 def draw(kitchen: Kitchen, state: Any) -> np.ndarray:
-    """A uint8 image (height, width, 3) of an unbatched `OvercookedState`."""
+    """Draw an unbatched `OvercookedState` as a uint8 image (height, width, 3)."""
     canvas = _Canvas(kitchen)
     for cell, code in enumerate(np.asarray(state.grid).tolist()):
         x, y = kitchen.xy(cell) + 0.5
@@ -117,7 +126,7 @@ def draw(kitchen: Kitchen, state: Any) -> np.ndarray:
 
 
 def _draw_cell(canvas: _Canvas, x: float, y: float, code: int) -> None:
-    """One cell around (x, y), without who stands there."""
+    """Draw one cell around (x, y), without a cook that stands there."""
     if code == FLOOR:
         canvas.box(x, y, (0.5, 0.5), "joint")
         canvas.box(x, y, (0.485, 0.485), "floor")
@@ -144,7 +153,7 @@ def _draw_cell(canvas: _Canvas, x: float, y: float, code: int) -> None:
 
 
 def _draw_pot(canvas: _Canvas, x: float, y: float, onions: int, cooked: int) -> None:
-    """A pot on its stove, what is in it, and how far it is."""
+    """Draw a pot on its stove, with its onions or soup and a bar for the steps cooked."""
     canvas.box(x, y, (0.45, 0.45), "stove", 0.06)
     canvas.box(x, y - 0.07, (0.42, 0.05), "metal", 0.04)
     canvas.disc(x, y - 0.07, 0.34, "metal")
@@ -164,7 +173,7 @@ def _draw_pot(canvas: _Canvas, x: float, y: float, onions: int, cooked: int) -> 
 def _draw_cook(
     canvas: _Canvas, x: float, y: float, facing: tuple[int, int], item: int, color: tuple
 ) -> None:
-    """A cook from above: shoulders in its color, a white hat, a nose and hands in front."""
+    """Draw a cook from above: shoulders in its color, a white hat, hands and its item in front."""
     dx, dy = facing
     canvas.disc(x, y, 0.36, "ink")
     canvas.disc(x, y, 0.335, color)

@@ -1,8 +1,8 @@
-"""What happens at counters, pots and windows of Overcooked, as tables over small integers.
+"""Rules of Overcooked for counters, pots, dispensers and windows, as tables over small integers.
 
-The state of a cell is one number, and so is what a hand holds. The rules for using a cell are
-written below in Python for one cell and one hand (`_use`), as `overcooked_ai` has them
-(`resolve_interacts`), and looked up during play.
+The state of a cell is one integer, and so is the item in a hand. `_use` states the rules for one
+cell and one hand in Python, following `resolve_interacts` of `overcooked_ai`. During play they are
+looked up in a table.
 """
 
 from functools import lru_cache
@@ -15,38 +15,38 @@ from jaxtyping import Array, Int
 StartCooking = Literal["interact", "auto"]
 
 NOTHING, ONION, DISH, SOUP = 0, 1, 2, 2
-"""Items, in a hand or on a counter; a soup of n = 1, 2 or 3 onions is SOUP + n."""
+"""Items in a hand or on a counter. A soup of n = 1, 2 or 3 onions is SOUP + n."""
 NUM_ITEMS = 6
 
 CAPACITY = 3
-"""Onions that a pot holds, and that a soup needs to be paid for."""
+"""Onions that fill a pot, and that a soup needs to earn the reward."""
 IDLE, READY = -1, 20
-"""Steps that a pot has cooked: -1 if it has not begun, and no more than the 20 that it takes."""
+"""Steps that a pot has cooked: -1 before it starts, and 20 from when the soup is ready."""
 
 FLOOR, ONIONS, DISHES, SERVING = range(4)
 """States of cells that never change."""
 COUNTER = 4
-"""State of an empty counter; COUNTER + item when something lies on it."""
+"""State of an empty counter. A counter with an item on it is COUNTER + item."""
 POT = COUNTER + NUM_ITEMS
-"""State of an empty pot; the others follow, see `pot_state`."""
+"""State of an empty pot. `pot_state` numbers the other states of a pot."""
 COOKING = POT + CAPACITY + 1
 NUM_CELL_STATES = COOKING + CAPACITY * (READY + 1)
 
 
 def pot_state(onions: int, cooked: int) -> int:
-    """State of a pot: idle by onions, then the rest by steps cooked and onions."""
+    """Return the state of a pot: idle pots in order of onions, then others by steps and onions."""
     return POT + onions if cooked == IDLE else COOKING + CAPACITY * cooked + onions - 1
 
 
 def read_pot(state: int) -> tuple[int, int]:
-    """Onions and steps cooked, the inverse of `pot_state`."""
+    """Return the onions in a pot and the steps cooked, the inverse of `pot_state`."""
     if state < COOKING:
         return state - POT, IDLE
     return (state - COOKING) % CAPACITY + 1, (state - COOKING) // CAPACITY
 
 
 def cook(grid: Int[Array, " cells"], start: StartCooking) -> Int[Array, " cells"]:
-    """Let one step pass in all pots."""
+    """Advance all pots by one step."""
     if start == "auto":
         grid = jnp.where(grid == pot_state(CAPACITY, IDLE), pot_state(CAPACITY, 0), grid)
     is_cooking = (grid >= COOKING) & (grid < pot_state(1, READY))
@@ -55,17 +55,26 @@ def cook(grid: Int[Array, " cells"], start: StartCooking) -> Int[Array, " cells"
 
 @lru_cache
 def use_table(start: StartCooking) -> np.ndarray:
-    """(cell states * items,), what using a cell leads to: cell << 4 | item << 1 | paid."""
+    """Tabulate `_use`: cell << 4 | item << 1 | rewarded, (cell states * items,)."""
     table = np.zeros((NUM_CELL_STATES, NUM_ITEMS), np.int32)
     for cell in range(NUM_CELL_STATES):
         for item in range(NUM_ITEMS):
-            after, hand, paid = _use(cell, item, start)
-            table[cell, item] = after << 4 | hand << 1 | paid
+            after, held, rewarded = _use(cell, item, start)
+            table[cell, item] = after << 4 | held << 1 | rewarded
     return table.ravel()
 
 
 def _use(cell: int, item: int, start: StartCooking) -> tuple[int, int, bool]:
-    """State of the cell and what the hand holds after using the cell, and whether it pays."""
+    """Use a cell.
+
+    Args:
+        cell: State of the cell.
+        item: Item in the hand that uses it.
+        start: Rule that starts a pot.
+
+    Returns:
+        The state of the cell and the item in the hand after it, and whether the team is rewarded.
+    """
     unchanged = cell, item, False
     if cell in (ONIONS, DISHES) and item == NOTHING:
         return cell, ONION if cell == ONIONS else DISH, False

@@ -1,4 +1,4 @@
-"""JaxMARL's environments as ours, ours as JaxMARL's, and there and back again."""
+"""Conversion of environments from JaxMARL, to JaxMARL, and there and back."""
 
 import importlib.util
 from functools import partial
@@ -18,7 +18,9 @@ pytestmark = [
     pytest.mark.skipif(
         importlib.util.find_spec("jaxmarl") is None, reason="jaxmarl is not installed"
     ),
-    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # Overcooked's, at every start
+    pytest.mark.filterwarnings(
+        "ignore::DeprecationWarning"
+    ),  # Raised by Overcooked whenever it is built.
 ]
 
 THEIRS = {
@@ -27,8 +29,9 @@ THEIRS = {
     "MPE_simple_spread_v3": {"options": "max_steps=8"},
     "MPE_simple_speaker_listener_v4": {"options": "max_steps=8"},
 }
-"""Speaker and listener differ in what they observe (3 and 11 numbers) and do (3 and 5 actions)."""
-SIZES = {  # agents, actions, obs, state, steps
+"""Options by environment. Speaker and listener differ in sizes: they observe 3 and 11 numbers and
+have 3 and 5 actions."""
+SIZES = {  # Agents, actions, obs, state, steps.
     "overcooked": (2, 6, 4 * 5 * 26, 2 * 4 * 5 * 26, 8),
     "HeuristicEnemySMAX": (3, 5 + 3, 2 * 13 + 3 * 13 + 10, 6 * 12, 9),
     "MPE_simple_spread_v3": (3, 5, 18, 3 * 18, 9),
@@ -42,13 +45,13 @@ def make(name, **settings):
 
 @pytest.fixture(scope="module", params=THEIRS)
 def played(request):
-    """One of theirs as ours, its sizes, and an episode stepped in both ways."""
+    """Convert an environment, and play the same episode in it and in the original."""
     env = make(request.param)
     return SimpleNamespace(env=env, sizes=SIZES[request.param], **_play_both(env))
 
 
 def _play_both(env):
-    """An episode of random legal actions, and what theirs tells of the same actions and keys."""
+    """Play random legal actions in a converted environment, and repeat them in the original."""
     source = env.source
     key_reset, *keys = jax.random.split(jax.random.key(5), env.max_steps + 1)
 
@@ -82,7 +85,7 @@ def test_sizes(played):
     assert hash(env) == hash(envs_jax.make("jaxmarl", id=env.id, options=env.options))
 
 
-def test_numbers_are_theirs(played):
+def test_numbers_equal_those_of_jaxmarl(played):
     source = played.env.source
     for ours, (obs, _, rewards, dones) in zip(played.ours, played.theirs):
         rows = [np.asarray(obs[agent], np.float32).ravel() for agent in source.agents]
@@ -97,7 +100,7 @@ def test_numbers_are_theirs(played):
             assert ours.done == dones["__all__"]
 
 
-def test_legal_actions_are_theirs(played):
+def test_legal_actions_equal_those_of_jaxmarl(played):
     source = played.env.source
     for ours, (_, state, _, _) in zip(played.ours, played.theirs):
         for index, agent in enumerate(source.agents):
@@ -109,7 +112,7 @@ def test_legal_actions_are_theirs(played):
             assert not ours.action_mask[index, count:].any()
 
 
-def test_the_episode_has_as_many_steps_as_theirs(played):
+def test_episode_has_as_many_steps_as_in_jaxmarl(played):
     ends = [dones["__all__"].item() for *_, dones in played.theirs[1:]]
     assert ends == [False] * (played.env.max_steps - 1) + [True]
     assert played.ours[-1].truncated
@@ -121,7 +124,7 @@ def test_check_passes(name):
     check_environment(make(name))
 
 
-def test_an_earlier_end_and_the_sum_of_rewards():
+def test_smaller_time_limit_and_sum_of_rewards():
     env = make("MPE_simple_spread_v3", max_steps=3, team_reward="sum")
     episode = _play_both(env)
     assert [ours.truncated.item() for ours in episode["ours"]] == [False, False, False, True]
@@ -131,8 +134,8 @@ def test_an_earlier_end_and_the_sum_of_rewards():
         np.testing.assert_allclose(ours.reward, total, rtol=1e-5)
 
 
-def test_shaped_rewards_count_as_told():
-    """Both agents take an onion's worth: JaxMARL shapes putting one into the pot with 3."""
+def test_shaped_reward_coef():
+    """Agent 0 has a shaped reward of 3, that of JaxMARL for an onion put into the pot."""
     env = from_jaxmarl(make("overcooked").source, shaped_reward_coef=0.5)
     rewards = {"agent_0": jnp.float32(20), "agent_1": jnp.float32(20)}
     shaped = {"agent_0": jnp.int32(3), "agent_1": jnp.int32(0)}
@@ -147,12 +150,12 @@ def smax():
 
 
 def stand_still(smax, alive, time):
-    """Time step after step number `time`, with the units given alive (allies first)."""
+    """Return the time step of step number `time` with the given units alive, allies first."""
     env_state, step = smax
     units = env_state.state.state
     alive = jnp.array(alive, bool)
     units = units.replace(
-        # Out of reach of each other and of the walls.
+        # Units are out of reach of each other and of the walls.
         unit_positions=jnp.array([[2.0, 2.0]] * 3 + [[30.0, 30.0]] * 3),
         unit_alive=alive,
         unit_health=units.unit_health * alive,
@@ -171,7 +174,7 @@ def stand_still(smax, alive, time):
         ([0, 0, 0, 0, 1, 0], 3, True, False, 0),
         ([1, 1, 0, 0, 1, 0], 3, False, False, 0),
         ([1, 1, 0, 0, 1, 0], 9, False, True, 0),
-        ([1, 0, 0, 0, 0, 0], 9, True, False, 1),  # at the last step
+        ([1, 0, 0, 0, 0, 0], 9, True, False, 1),  # At the last step.
     ],
 )
 def test_ends_of_smax(smax, alive, time, terminated, truncated, success):
@@ -182,19 +185,19 @@ def test_ends_of_smax(smax, alive, time, terminated, truncated, success):
 
 
 MISTAKES = [
-    ({"id": "SMAX"}, "id: SMAX is no team task (enemy_0 opposes the others)"),
-    ({"id": "MPE_simple_tag_v3"}, "is no team task (adversary_0 opposes the others)"),
-    ({"id": "coin_game"}, "is no team task (each agent is paid for itself)"),
+    ({"id": "SMAX"}, "id: SMAX is not a team task (enemy_0 opposes the others)"),
+    ({"id": "MPE_simple_tag_v3"}, "is not a team task (adversary_0 opposes the others)"),
+    ({"id": "coin_game"}, "is not a team task (each agent has its own reward)"),
     (
         {"id": "MPE_simple_spread_v3", "options": "action_type=Continuous"},
         "id: agent_0 of SimpleSpreadMPE acts in a Box space; choose",
     ),
-    ({"id": "hanabi"}, "max_steps is missing: HanabiEnv does not tell its time limit; give one"),
+    ({"id": "hanabi"}, "max_steps is missing: HanabiEnv has no time limit of its own; give one"),
     ({"id": "overcookd"}, "id: JaxMARL has no environment 'overcookd' (did you mean overcooked?)"),
     ({"options": "layout=ring"}, "options: overcooked has no layout 'ring' (known: cramped_room,"),
-    ({"options": "lives=1"}, "options 'lives=1': overcooked cannot be made: "),
+    ({"options": "lives=1"}, "options 'lives=1': overcooked cannot be built: "),
     ({"max_steps": 401}, "max_steps 401 is more than the 400 steps after which Overcooked ends"),
-    ({"max_steps": -1}, "max_steps must be at least 1, or 0 for theirs, got -1"),
+    ({"max_steps": -1}, "max_steps must be at least 1, or 0 for JaxMARL's, got -1"),
     ({"shaped_reward_coef": float("nan")}, "shaped_reward_coef must be finite, got nan"),
     (
         {"id": "MPE_simple_spread_v3", "shaped_reward_coef": 1.0},
@@ -204,7 +207,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("settings", "message"), MISTAKES, ids=lambda x: str(x)[:40])
-def test_mistakes_are_told_in_one_line(settings, message):
+def test_mistakes_are_reported_in_one_line(settings, message):
     with pytest.raises(ValueError) as error:  # noqa: PT011 (the message is compared)
         envs_jax.make("jaxmarl", **settings)
     assert message in str(error.value)
@@ -216,11 +219,15 @@ def test_team_reward_is_one_of_two():
         from_jaxmarl(make("overcooked").source, team_reward="max")
 
 
-# Ours as theirs
+# To JaxMARL
 
 
 def rollout(env, keys):
-    """Random legal actions and all that `env` emits for them, (steps, ...)."""
+    """Play random legal actions.
+
+    Returns:
+        The time step at reset, and those of all steps, (steps, ...).
+    """
 
     def step(carry, key):
         env_state, timestep = carry
@@ -248,8 +255,8 @@ def test_there_and_back_is_the_same(env):
     np.testing.assert_array_equal(frame, env.render(env.reset(keys[0])[0]))
 
 
-def test_exported_begins_anew_by_itself():
-    env = to_jaxmarl(PROBES["probe_time_limit"]())  # two steps, truncated
+def test_exported_resets_itself():
+    env = to_jaxmarl(PROBES["probe_time_limit"]())  # Two steps, then truncated.
     actions = dict.fromkeys(env.agents, jnp.int32(0))
     step = jax.jit(env.step)
     obs, state = env.reset(jax.random.key(0))
@@ -269,7 +276,7 @@ def test_exported_begins_anew_by_itself():
     ]
 
 
-def test_exported_has_what_their_trainers_ask_for():
+def test_exported_has_the_interface_of_jaxmarls_trainers():
     env = to_jaxmarl(PROBES["probe_legal_action"]())
     obs, state = env.reset(jax.random.key(0))
     assert env.agents == ["agent_0", "agent_1"]

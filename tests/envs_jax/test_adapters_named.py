@@ -1,4 +1,4 @@
-"""JaxMARL's environments by name, and what is said where its package is missing."""
+"""JaxMARL's environments by name, and the errors if an optional package is missing."""
 
 import sys
 
@@ -18,7 +18,7 @@ def absent(monkeypatch):
         monkeypatch.setitem(sys.modules, package, None)
 
 
-def test_options_are_read_as_values():
+def test_options_are_parsed():
     assert _parse("") == {}
     assert _parse("layout=coord_ring") == {"layout": "coord_ring"}
     text = "max_steps = 50, local_ratio=0.5,walls_cause_death=false , action_type=Discrete"
@@ -52,14 +52,14 @@ def test_options_are_read_as_values():
         ),
     ],
 )
-def test_a_missing_package_is_named_with_its_remedy(call, message):
+def test_missing_package_error_names_the_remedy(call, message):
     with pytest.raises(MissingPackageError) as error:
         call()
     assert str(error.value) == message
 
 
 @pytest.mark.usefixtures("absent")
-def test_a_configuration_tells_it_like_any_other_mistake():
+def test_missing_package_is_a_config_error():
     with pytest.raises(ConfigError) as error:
         configs.load(None, {"env.name": "jaxmarl", "env.id": "never_made"})
     assert str(error.value).startswith("env.id never_made needs the package jaxmarl: pip install")

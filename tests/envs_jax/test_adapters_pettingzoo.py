@@ -1,4 +1,4 @@
-"""Our environments as PettingZoo's: its own tests, and the same numbers as ours."""
+"""Conversion of environments to PettingZoo: its own tests, and equal numbers."""
 
 import jax
 import numpy as np
@@ -28,7 +28,7 @@ def test_same_seed_same_episodes(env):
     parallel_seed_test(lambda: envs_jax.to_pettingzoo(env), num_cycles=15)
 
 
-@pytest.mark.filterwarnings("ignore:Environment's m:UserWarning")  # bounds are not known
+@pytest.mark.filterwarnings("ignore:Environment's m:UserWarning")  # Bounds are unknown.
 def test_state_space_holds_the_state():
     env = envs_jax.to_pettingzoo(AliceAndBob(max_steps=12))
     env.reset()
@@ -36,7 +36,7 @@ def test_state_space_holds_the_state():
     state_test(parallel_to_aec(env), env, num_cycles=5)
 
 
-def test_numbers_are_those_of_ours():
+def test_numbers_equal_those_of_the_environment():
     env = AliceAndBob(max_steps=6)
     theirs = envs_jax.to_pettingzoo(env, seed=3)
     obs, infos = theirs.reset()
@@ -61,7 +61,7 @@ def test_numbers_are_those_of_ours():
     assert theirs.agents == []
 
 
-def test_masks_and_rewards_are_told():
+def test_masks_and_rewards():
     env = envs_jax.to_pettingzoo(LegalAction(), action_masks="info")
     seen = set()
     for seed in range(8):
@@ -86,16 +86,16 @@ def test_episodes_differ_unless_seeded_again():
     np.testing.assert_array_equal(first, again)
 
 
-def test_mistakes_are_told():
+def test_mistakes_are_reported():
     env = envs_jax.to_pettingzoo(LegalAction())
     for early in (env.state, env.render, lambda: env.step({})):
         with pytest.raises(ValueError, match="call reset first"):
             early()
     env.reset()
-    with pytest.raises(ValueError, match="one for each agent; agent_1 has none"):
+    with pytest.raises(ValueError, match="actions has no entry for agent_1; give"):
         env.step({"agent_0": 0})
     env.step({"agent_0": 0, "agent_1": 0})
-    with pytest.raises(ValueError, match="no episode to step in: call reset first"):
+    with pytest.raises(ValueError, match="no episode is running: call reset first"):
         env.step({"agent_0": 0, "agent_1": 0})
     with pytest.raises(ValueError, match="seed must be at least 0, got -1"):
         env.reset(seed=-1)

@@ -1,4 +1,4 @@
-"""The rules of Alice_and_Bob one by one, its two ways of writing things down, and its odds."""
+"""Rules of Alice_and_Bob one by one, its two encodings, and the odds of random play."""
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +26,7 @@ def at(alice, bob, collected=(False, False), time=0):
 
 
 def play(state, *actions):
-    """Step through pairs of actions; returns the last state and all time steps."""
+    """Play pairs of actions and return the last state and all time steps."""
     timesteps = []
     for action in actions:
         state, timestep = step_codes(KEY, state, jnp.array(action))
@@ -73,8 +73,8 @@ def test_agents_share_and_swap_cells():
         (BLUE_BUTTON, BLUE_DIAMOND, [False, True]),
         (RED_BUTTON, BLUE_DIAMOND, [False, False]),
         (BLUE_BUTTON, RED_DIAMOND, [False, False]),
-        (RED_BUTTON, (7, 1), [False, False]),  # nobody on the diamond
-        ((2, 8), RED_DIAMOND, [False, False]),  # nobody on the button
+        (RED_BUTTON, (7, 1), [False, False]),  # Nobody on the diamond.
+        ((2, 8), RED_DIAMOND, [False, False]),  # Nobody on the button.
     ],
 )
 def test_diamond_needs_its_button_in_the_same_step(button, diamond, expected, swap):
@@ -96,7 +96,7 @@ def test_nothing_is_collected_before_the_first_step():
     assert not state.collected.any()
 
 
-def test_collected_is_latched_and_off_the_map():
+def test_collected_diamonds_stay_off_the_board():
     def diamond_codes(timestep):
         board = timestep.state.reshape(10, 10)
         return [board[RED_DIAMOND].item(), board[BLUE_DIAMOND].item()]
@@ -105,7 +105,7 @@ def test_collected_is_latched_and_off_the_map():
     state, (first, second) = play(state, (LEFT, RIGHT), (LEFT, RIGHT))
     assert state.collected.tolist() == [True, False]
     assert diamond_codes(first) == diamond_codes(second) == [0, 7]
-    # An uncollected diamond and a button are back on the map when an agent has left them.
+    # An uncollected diamond and a button reappear on the board when an agent leaves them.
     _, (on, off) = play(at((8, 2), (1, 2)), (LEFT, LEFT), (RIGHT, RIGHT))
     assert on.state.reshape(10, 10)[[8, 1], [1, 1]].tolist() == [2, 3]
     assert off.state.reshape(10, 10)[[8, 1], [1, 1]].tolist() == [6, 5]
@@ -159,8 +159,8 @@ def test_codes_by_hand():
     timestep = observe_codes(at((1, 2), (2, 3), collected=(True, False)))
     board = np.zeros((10, 10))
     board[[0, -1]] = board[:, [0, -1]] = 1
-    board[1, 1], board[1, 8] = 5, 4  # blue and red button
-    board[8, 8] = 7  # blue diamond; the red one is collected
+    board[1, 1], board[1, 8] = 5, 4  # Blue and red button.
+    board[8, 8] = 7  # Blue diamond; the red one is collected.
     board[1, 2], board[2, 3] = 2, 3
     np.testing.assert_array_equal(timestep.state, board.ravel())
     np.testing.assert_array_equal(timestep.obs[0], [1, 1, 1, 5, 2, 0, 0, 0, 3, 1, 2])
@@ -171,14 +171,22 @@ def test_codes_by_hand():
 def test_one_hot_by_hand():
     timestep = observe_one_hot(at((7, 2), (6, 3), collected=(False, True)))
     rows_cols = np.eye(8)
-    alice = [*rows_cols[6], *rows_cols[1], 1, 0, *np.eye(9)[2], 1, 0]  # partner: row-1, col+1
-    bob = [*rows_cols[5], *rows_cols[2], 0, 1, *np.eye(9)[6], 0, 0]  # partner: row+1, col-1
+    alice = [
+        *rows_cols[6],
+        *rows_cols[1],
+        1,
+        0,
+        *np.eye(9)[2],
+        1,
+        0,
+    ]  # Partner at row - 1, col + 1.
+    bob = [*rows_cols[5], *rows_cols[2], 0, 1, *np.eye(9)[6], 0, 0]  # Partner: row + 1, col - 1.
     np.testing.assert_array_equal(timestep.obs, [alice, bob])
     places = [*rows_cols[6], *rows_cols[1], *rows_cols[5], *rows_cols[2]]
     np.testing.assert_array_equal(timestep.state, [*places, 0, 1])
 
 
-def test_later_agent_is_drawn_on_top():
+def test_agent_1_hides_agent_0():
     timestep = observe_codes(at((4, 4), (4, 4)))
     assert timestep.state.reshape(10, 10)[4, 4] == 3
     assert timestep.obs[:, 4].tolist() == [3, 3]
@@ -192,7 +200,7 @@ def empty_board():
 
 
 def codes_of_one_hot(obs, state):
-    """Write the one-hot form as codes, knowing the map only."""
+    """Convert the one-hot encoding to codes, from knowledge of the empty board alone."""
     board = empty_board()
     for index, diamond in enumerate((RED_DIAMOND, BLUE_DIAMOND)):
         board[diamond] = 0 if state[32 + index] else 6 + index
@@ -208,7 +216,7 @@ def codes_of_one_hot(obs, state):
         for diamond, code, there in zip((RED_DIAMOND, BLUE_DIAMOND), (6, 7), visible):
             seen[diamond] = code * there
         patch = seen[row - 1 : row + 2, col - 1 : col + 2].ravel()
-        for agent in range(2):  # the later agent on top
+        for agent in range(2):  # Agent 1 hides agent 0.
             where = 4 if agent == index else near.argmax()
             if agent == index or near.any():
                 patch[where] = 2 + agent
@@ -217,7 +225,7 @@ def codes_of_one_hot(obs, state):
 
 
 def one_hot_of_codes(obs, state):
-    """The reverse, for agents on different cells with no diamond under them."""
+    """Convert codes to the one-hot encoding, for agents on different cells without diamonds."""
     board = state.reshape(10, 10)
     rows_cols = np.eye(8)
     places = [np.argwhere(board == 2 + agent)[0] - 1 for agent in range(2)]
@@ -238,7 +246,7 @@ corner = st.sampled_from([RED_BUTTON, BLUE_BUTTON, RED_DIAMOND, BLUE_DIAMOND, (7
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(cell | corner, cell | corner, st.tuples(st.booleans(), st.booleans()))
-def test_forms_carry_the_same_facts(alice, bob, collected):
+def test_encodings_contain_the_same_facts(alice, bob, collected):
     state = at(alice, bob, collected)
     codes, one_hot = (
         [np.asarray(x) for x in (timestep.obs, timestep.state)]
@@ -255,7 +263,7 @@ def test_forms_carry_the_same_facts(alice, bob, collected):
 
 
 def test_odds_of_random_play():
-    """Uniformly random actions collect a diamond in 4.7 % of episodes (100k simulated ones)."""
+    """Uniformly random actions collect a diamond in 4.7 % of episodes (of 100k simulated ones)."""
     num = 20_000
 
     def step(env_state, key):
@@ -278,7 +286,7 @@ def test_odds_of_random_play():
     assert terminated.any(0).sum() <= 14
 
 
-def test_frame_shows_what_there_is():
+def test_frame_shows_agents_and_diamonds():
     def colors(state):
         frame = CODES.render(state)
         assert frame.shape == (320, 320, 3)
@@ -286,7 +294,7 @@ def test_frame_shows_what_there_is():
 
     alice, bob, red, blue = (231, 150, 40), (60, 150, 92), (206, 64, 64), (58, 104, 196)
     assert colors(at((4, 4), (5, 5))) >= {alice, bob, red, blue}
-    assert colors(at((4, 4), (4, 4))) >= {alice, bob}  # both can be seen on a shared cell
+    assert colors(at((4, 4), (4, 4))) >= {alice, bob}  # Both are visible on a shared cell.
     frames = [CODES.render(at((4, 4), (5, 5), (taken, False))) for taken in (False, True)]
     row, col = np.array(RED_DIAMOND) * 32 + 16
     assert tuple(frames[0][row, col]) == red

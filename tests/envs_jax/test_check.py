@@ -1,4 +1,4 @@
-"""`check_environment` passes what is right and names what is wrong."""
+"""`check_environment` accepts correct environments and names the fault of others."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -12,7 +12,7 @@ import envs_jax
 from envs_jax import Environment, EnvironmentCheckError, check_environment
 from envs_jax.probes import MatchCue, Probe
 
-# What is under "jaxmarl" has tests of its own, where that package is installed.
+# "jaxmarl" has tests of its own, which need that package.
 NAMES = [name for name in envs_jax.names() if name != "jaxmarl"]
 
 
@@ -45,7 +45,7 @@ def test_step_is_traced_once(name):
 
 
 def broken(message, **members):
-    """A case: `MatchCue`, two steps long, with some members replaced."""
+    """Make a test case of `MatchCue` with two steps and some members replaced."""
     members.setdefault("max_steps", 2)
     members["__annotations__"] = {"max_steps": int}
     name = "Broken"
@@ -55,7 +55,7 @@ def broken(message, **members):
 
 
 def emits(**changes):
-    """A `_timestep` in which some fields are replaced by functions of the right `TimeStep`."""
+    """Make a `_timestep` in which functions of the correct `TimeStep` replace some fields."""
 
     def _timestep(self, state, reward):
         right = Probe._timestep(self, state, reward)
@@ -73,7 +73,7 @@ def reset_with(**changes):
 
 
 def step_to(change):
-    """A `step` whose env_state is changed by a function."""
+    """Make a `step` that applies `change` to its env_state."""
 
     def step(self, key, env_state, action):
         env_state, timestep = Probe.step(self, key, env_state, action)
@@ -83,7 +83,7 @@ def step_to(change):
 
 
 def unbatched_only(state, timestep):
-    """Mixes the copies of a batch: wrong under vmap only."""
+    """Return a state that is wrong only under vmap, which reverses the copies."""
     wrong = jax.custom_batching.custom_vmap(lambda x: x)
     wrong.def_vmap(lambda size, batched, x: (x[::-1], True))
     return wrong(timestep.state)
@@ -114,8 +114,12 @@ CASES = [
     broken("num_actions must be an int above 0; found 0", num_actions=0),
     broken("obs_dim must be an int above 0; found 8.0", obs_dim=8.0),
     broken("it must have a method render; found None", render=None),
-    pytest.param(NotFrozen(), "it must be a frozen dataclass; found one that is not", id="frozen"),
-    pytest.param(WithList(), "it must be hashable, so its fields hold no arrays", id="hashable"),
+    pytest.param(
+        NotFrozen(), "it must be a frozen dataclass; found a dataclass that is not", id="frozen"
+    ),
+    pytest.param(
+        WithList(), "it must be hashable, so its fields must not hold arrays", id="hashable"
+    ),
     broken("reset must return (env_state, TimeStep); found", reset=lambda self, key: (1, 2, 3)),
     broken(
         "step must run under jax.jit; found Attempted boolean conversion",
@@ -138,7 +142,7 @@ CASES = [
         ),
     ),
     broken(
-        "info of reset must be a dict with names as keys; found ()",
+        "info of reset must be a dict with strings as keys; found ()",
         _timestep=emits(info=lambda state, right: ()),
     ),
     broken(
@@ -146,11 +150,11 @@ CASES = [
         _timestep=emits(info=lambda state, right: {"success": state.action}),
     ),
     broken(
-        "info must have the keys of reset, [], after a step too; found ['success']",
+        "info must have the same keys after a step as at reset, []; found ['success']",
         reset=reset_with(info={}),
     ),
     broken(
-        "timestep.info['success'] as reset made it, int32 (); found float32 ()",
+        "timestep.info['success'] of step must have the dtype and shape of reset, int32 ()",
         reset=reset_with(info={"success": np.int32(0)}),
     ),
     broken(
@@ -158,23 +162,23 @@ CASES = [
         step=step_to(lambda env_state: tuple(env_state)),
     ),
     broken(
-        "step must keep env_state.time as reset made it, int32 (); found float32 ()",
+        "env_state.time of step must have the dtype and shape of reset, int32 (); found float32 ()",
         step=step_to(lambda env_state: env_state._replace(time=jnp.float32(1))),
     ),
     broken(
-        "env_state.time of step must have a dtype of its own",
+        "env_state.time of step must have a fixed dtype",
         step=step_to(lambda env_state: env_state._replace(time=2)),
     ),
     broken(
-        "timestep.reward of reset must have a dtype of its own",
+        "timestep.reward of reset must have a fixed dtype",
         reset=reset_with(reward=0.0),
     ),
     broken(
-        "a second call with the same key must repeat the first",
+        "a second call with the same key must return the same as the first",
         _timestep=emits(state=lambda state, right: right.state + float(rng.random())),
     ),
     broken("jax.jit must not change the result", _timestep=emits(state=under_jit)),
-    broken("jax.vmap must give what single calls give", _timestep=emits(state=unbatched_only)),
+    broken("jax.vmap must return the same as single calls", _timestep=emits(state=unbatched_only)),
     broken(
         "reward must be 0 or False at reset; found 1.0", reset=reset_with(reward=jnp.float32(1))
     ),
@@ -195,7 +199,7 @@ CASES = [
         _timestep=emits(obs=lambda state, right: right.obs / (state.time != 1)),
     ),
     broken(
-        "every episode must be over (terminated or truncated) by step 2; found 16 of 16",
+        "every episode must end (terminated or truncated) by step 2; found 16 of 16",
         _timestep=emits(terminated=lambda state, right: state.time > 2),
     ),
     broken(
@@ -207,7 +211,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("env", "message"), CASES)
-def test_broken_environments_are_named(env, message):
+def test_broken_environments_are_reported(env, message):
     with pytest.raises(EnvironmentCheckError) as error:
         check_environment(env)
     text = str(error.value)
@@ -216,5 +220,5 @@ def test_broken_environments_are_named(env, message):
 
 
 def test_fewer_steps_leave_the_time_limit_unchecked():
-    env = CASES[-3].values[0]  # never over in time
+    env = CASES[-3].values[0]  # Its episodes do not end in time.
     check_environment(env, num_steps=1)

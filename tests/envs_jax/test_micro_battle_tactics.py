@@ -1,4 +1,4 @@
-"""Win rates of scripted players: the battles are as hard as docs/micro_battle.md says."""
+"""Win rates of scripted players, as docs/environments/micro_battle.md states them."""
 
 from functools import lru_cache
 
@@ -13,13 +13,13 @@ EPISODES = 500
 
 @lru_cache
 def player(scenario, balance):
-    """Compiled once per scenario, for all tactics."""
+    """Compile the battle once per scenario, for all tactics."""
     return tactics.make_play(MicroBattle(scenario, balance), EPISODES)
 
 
 # Scenario, balance, tactic, share of random actions; wins over 4000 episodes
 # (results/micro_battle/tactics.json), and those of an independent simulation of the same rules in
-# NumPy (docs/micro_battle.md) where it played the tactic.
+# NumPy (docs/environments/micro_battle.md), if it played the tactic.
 WIN_RATES = [
     ("3m", "multi", "random", 0.0, 0.0, 0.0),
     ("3m", "multi", "attack else random", 0.0, 0.001, 0.001),
@@ -63,7 +63,7 @@ def test_win_rates(scenario, balance, tactic, noise, expected, in_numpy):
 
 
 @pytest.mark.parametrize(("balance", "in_numpy"), [("multi", 50.0), ("liberty", 90.0)])
-def test_what_two_stalkers_that_just_attack_leave_of_the_spine_crawler(balance, in_numpy):
+def test_health_that_two_attacking_stalkers_leave_the_spine_crawler(balance, in_numpy):
     won, late, _, left = player("2s_vs_1sc", balance)("walk, nearest")
     assert not (won | late).any()
     assert abs(left.mean() - in_numpy) < 2
@@ -77,7 +77,7 @@ def test_what_two_stalkers_that_just_attack_leave_of_the_spine_crawler(balance, 
         ("2s_vs_1sc", "hide in the corner", 0.99),
     ],
 )
-def test_enemies_do_not_hunt_who_hides(scenario, tactic, least):
+def test_enemies_do_not_hunt_hidden_units(scenario, tactic, least):
     won, late, steps, _ = player(scenario, "multi")(tactic)
     assert np.mean(late) >= least
     assert not won.any()

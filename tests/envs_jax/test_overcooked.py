@@ -1,4 +1,4 @@
-"""The rules of Overcooked one by one, seats, time limit, and kitchens of one's own."""
+"""Rules of Overcooked one by one, seats and the time limit."""
 
 import jax
 import jax.numpy as jnp
@@ -11,8 +11,8 @@ from envs_jax.overcooked.rules import COUNTER, DISH, NOTHING, ONION, POT, SOUP, 
 
 NORTH, SOUTH, EAST, WEST, STAY, INTERACT = range(6)
 KEY = jax.random.key(0)
-# cramped_room: floor at x 1..3, y 1..2; pot (2, 0), onions (0, 1) and (4, 1), dishes (1, 3),
-# serving window (3, 3), all else counters.
+# cramped_room has floor at x 1..3, y 1..2, a pot at (2, 0), onions at (0, 1) and (4, 1), dishes at
+# (1, 3) and a serving window at (3, 3). All other cells are counters.
 ENVS = {rule: Overcooked(start_cooking=rule, random_seats=False) for rule in ("interact", "auto")}
 STEP = {rule: jax.jit(env.step) for rule, env in ENVS.items()}
 KITCHEN = read("cramped_room")
@@ -23,7 +23,7 @@ def at(x, y):
 
 
 def state(one, other, held=(NOTHING, NOTHING), time=0, **cells):
-    """Two cooks as (x, y, orientation), and states of cells as x_y=state."""
+    """Make a state with two cooks at (x, y, orientation), and cell states such as p2_0=POT."""
     grid = KITCHEN.grid.copy()
     for name, code in cells.items():
         grid[at(*map(int, name[1:].split("_")))] = code
@@ -39,7 +39,7 @@ def state(one, other, held=(NOTHING, NOTHING), time=0, **cells):
 
 
 def play(current, *actions, rule="interact"):
-    """The state after pairs of actions, and the rewards."""
+    """Play pairs of actions and return the last state and all rewards."""
     rewards = []
     for action in actions:
         current, timestep = STEP[rule](KEY, current, jnp.array(action, jnp.int32))
@@ -61,7 +61,7 @@ def cell(current, x, y):
 def test_moves_turn_even_when_blocked():
     current, _ = play(state((1, 1, NORTH), (3, 2, NORTH)), (EAST, NORTH))
     assert places(current) == [(2, 1, EAST), (3, 1, NORTH)]
-    current, _ = play(current, (NORTH, EAST))  # pot and onions in the way
+    current, _ = play(current, (NORTH, EAST))  # Pot and onions are in the way.
     assert places(current) == [(2, 1, NORTH), (3, 1, EAST)]
     current, _ = play(current, (STAY, STAY))
     assert places(current) == [(2, 1, NORTH), (3, 1, EAST)]
@@ -74,12 +74,12 @@ def test_nobody_moves_into_swaps_with_or_contests_a_cook():
     assert places(contest) == [(1, 1, EAST), (3, 1, WEST)]
     into, _ = play(state((1, 1, NORTH), (2, 1, SOUTH)), (EAST, STAY))
     assert places(into) == [(1, 1, EAST), (2, 1, SOUTH)]
-    # Both stay: the one who would have got away does not.
+    # They would swap places, so both stay.
     both, _ = play(state((2, 1, NORTH), (2, 2, NORTH)), (SOUTH, NORTH))
     assert places(both) == [(2, 1, SOUTH), (2, 2, NORTH)]
 
 
-def test_one_may_follow_the_other():
+def test_one_cook_can_follow_the_other():
     current, _ = play(state((1, 1, NORTH), (2, 1, NORTH)), (EAST, EAST))
     assert places(current) == [(2, 1, EAST), (3, 1, EAST)]
 
@@ -104,7 +104,7 @@ def test_counters_take_and_give_one_thing(item):
     assert current.held.tolist() == [item, NOTHING]
     assert cell(current, 1, 0) == COUNTER
     full = state((1, 1, NORTH), (3, 2, EAST), held=(item, NOTHING), c1_0=COUNTER + DISH)
-    full, _ = play(full, (INTERACT, STAY))  # no exchange
+    full, _ = play(full, (INTERACT, STAY))  # There is no exchange.
     assert full.held.tolist() == [item, NOTHING]
     assert cell(full, 1, 0) == COUNTER + DISH
 
@@ -117,16 +117,16 @@ def test_facing_floor_or_a_cook_does_nothing():
 
 
 def test_player_0_is_first_at_a_counter():
-    """The counter (2, 0) of a kitchen in which both face it from its two sides."""
+    """Both cooks face the same counter, between them."""
     env = Overcooked("XPXOX\nX1X2X\nXDXSX", random_seats=False)
     start, _ = env.reset(KEY)
     facing = start._replace(pose=4 * jnp.array([6, 8]) + jnp.array([EAST, WEST]))
     act = jnp.array([INTERACT, INTERACT])
     step = jax.jit(env.step)
     after, _ = step(KEY, facing._replace(held=jnp.array([ONION, NOTHING])), act)
-    assert after.held.tolist() == [NOTHING, ONION]  # put down, and at once picked up
+    assert after.held.tolist() == [NOTHING, ONION]  # Put down, then picked up at once.
     after, _ = step(KEY, facing._replace(held=jnp.array([NOTHING, ONION])), act)
-    assert after.held.tolist() == [NOTHING, NOTHING]  # nothing to take, then put down
+    assert after.held.tolist() == [NOTHING, NOTHING]  # Nothing to take, then put down.
     after, _ = step(KEY, facing._replace(held=jnp.array([ONION, DISH])), act)
     assert after.held.tolist() == [NOTHING, DISH]
     assert after.grid[7] == COUNTER + ONION
@@ -136,7 +136,11 @@ def test_player_0_is_first_at_a_counter():
 
 
 def at_one_pot(rule, held, pot):
-    """Both cooks use the pot (4, 2) of asymmetric_advantages; what they then hold, and the pot."""
+    """Let both cooks use the pot (4, 2) of asymmetric_advantages.
+
+    Returns:
+        The items that they then hold, and the state of the pot.
+    """
     env = Overcooked("asymmetric_advantages", rule, random_seats=False)
     start, _ = env.reset(KEY)
     left, right = 9 * 2 + 3, 9 * 2 + 5
@@ -153,7 +157,7 @@ def test_player_0_is_first_at_a_pot():
     both = at_one_pot("interact", (ONION, ONION), POT + 1)
     assert both == ([NOTHING, NOTHING], POT + 3)
     assert at_one_pot("interact", (ONION, ONION), POT + 2) == ([NOTHING, ONION], POT + 3)
-    # Started by player 0, the pot takes no more; filled by player 0, it is started by player 1.
+    # A pot started by player 0 takes no more onions. One filled by player 0 is started by player 1.
     started = at_one_pot("interact", (NOTHING, ONION), POT + 1)
     assert started == ([NOTHING, ONION], pot_state(1, 1))
     started = at_one_pot("interact", (ONION, NOTHING), POT + 1)
@@ -165,26 +169,26 @@ def test_player_0_is_first_at_a_pot():
 
 @pytest.mark.parametrize(("rule", "onions"), [("interact", n) for n in (1, 2, 3)] + [("auto", 3)])
 def test_soup_is_ready_20_steps_after_it_was_started(rule, onions):
-    """Started by action t, it cannot be taken by action t + 19 and can by action t + 20."""
+    """A soup started by action t cannot be taken by action t + 19, but by action t + 20."""
     if rule == "interact":
         current = state((2, 1, NORTH), (1, 2, NORTH), p2_0=POT + onions)
     else:
         current = state((2, 1, NORTH), (1, 2, NORTH), held=(ONION, NOTHING), p2_0=POT + 2)
-    current, _ = play(current, (INTERACT, STAY), rule=rule)  # action t
+    current, _ = play(current, (INTERACT, STAY), rule=rule)  # Action t.
     assert current.held.tolist() == [NOTHING, NOTHING]
     assert cell(current, 2, 0) == pot_state(onions, 1)
     current = current._replace(held=jnp.array([DISH, NOTHING], jnp.int32))
-    current, _ = play(current, *[(INTERACT, STAY)] * 19, rule=rule)  # t + 1 to t + 19
+    current, _ = play(current, *[(INTERACT, STAY)] * 19, rule=rule)  # Actions t + 1 to t + 19.
     assert current.held.tolist() == [DISH, NOTHING]
     assert cell(current, 2, 0) == pot_state(onions, 20)
-    waited, _ = play(current, *[(STAY, STAY)] * 30, rule=rule)  # and it never burns
+    waited, _ = play(current, *[(STAY, STAY)] * 30, rule=rule)  # Soups do not burn.
     for ready in (current, waited):
         after, _ = play(ready, (INTERACT, STAY), rule=rule)
         assert after.held.tolist() == [SOUP + onions, NOTHING]
         assert cell(after, 2, 0) == POT
 
 
-def test_who_starts_a_pot():
+def test_start_of_a_pot():
     full = state((2, 1, NORTH), (1, 2, NORTH), p2_0=POT + 3)
     waited, _ = play(full, *[(STAY, STAY)] * 5)
     assert cell(waited, 2, 0) == POT + 3
@@ -207,7 +211,7 @@ def test_who_starts_a_pot():
         (NOTHING, pot_state(2, 20)),
     ],
 )
-def test_pots_refuse(held, pot):
+def test_pots_ignore_other_items(held, pot):
     before = state((2, 1, NORTH), (1, 2, NORTH), held=(held, NOTHING), p2_0=pot)
     used, _ = play(before, (INTERACT, STAY))
     left_alone, _ = play(before, (STAY, STAY))
@@ -251,7 +255,7 @@ def test_time_limit_truncates():
 def test_urgency_shows_when_fewer_than_40_steps_are_left():
     env = Overcooked(observation="lossless", random_seats=False)
     step = jax.jit(env.step)
-    for time, urgent in ((359, 0), (360, 1)):  # at t = 360 and at t = 361 after the step
+    for time, urgent in ((359, 0), (360, 1)):  # The time after the step is 360 and 361.
         before = state((1, 1, NORTH), (3, 2, NORTH), time=time)
         _, timestep = step(KEY, before, jnp.array([STAY, STAY]))
         assert (timestep.obs.reshape(2, -1, 26)[..., 25] == urgent).all()
@@ -280,7 +284,7 @@ def test_swapped_seats_permute_agents_and_nothing_else(observation):
 def test_seats_are_a_fair_coin_or_fixed():
     keys = jax.random.split(jax.random.key(0), 10_000)
     swapped = jax.jit(jax.vmap(lambda key: Overcooked().reset(key)[0].swapped))(keys)
-    assert abs(swapped.mean() - 0.5) < 4 * 0.5 / 100  # four standard errors
+    assert abs(swapped.mean() - 0.5) < 4 * 0.5 / 100  # Four standard errors.
     assert not any(ENVS["auto"].reset(key)[0].swapped for key in keys[:5])
 
 

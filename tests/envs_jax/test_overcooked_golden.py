@@ -1,4 +1,4 @@
-"""Overcooked against the original: recorded traces, optimal plans, and the live package."""
+"""Overcooked compared with the original: recorded traces, optimal plans, and the package."""
 
 import importlib.util
 from pathlib import Path
@@ -31,7 +31,7 @@ def traces():
 
 
 def transition(layout, start_cooking, states, actions):
-    """States and time steps after one step, and what `lossless` shows of them."""
+    """Return states and time steps after one step, and the `lossless` time steps."""
     features = Overcooked(layout, start_cooking, random_seats=False)
     lossless = Overcooked(layout, start_cooking, "lossless", random_seats=False)
 
@@ -46,7 +46,7 @@ def transition(layout, start_cooking, states, actions):
 
 
 def count_differences(expected, got):
-    """How many of the steps differ anywhere."""
+    """Count the steps that differ in any number."""
     expected = np.asarray(expected)
     assert expected.shape == got.shape
     return int((expected != got).reshape(len(got), -1).any(1).sum())
@@ -75,14 +75,14 @@ def test_recorded_traces(layout, start_cooking, traces):
     np.testing.assert_allclose(lossless.state[:, -1], trace["after_time"] / 400, rtol=1e-6)
 
 
-def test_traces_have_something_to_tell(traces):
-    """Soups are paid for, and pots, counters and hands of all kinds occur."""
+def test_traces_cover_the_rules(traces):
+    """Soups are delivered, and pots, counters and hands of all kinds occur."""
     rewards = np.concatenate([a for name, a in traces.items() if name.endswith("/reward")])
     assert (rewards == 20).sum() == 20
     assert set(rewards.tolist()) == {0, 20}
     for ending in ("/interact/after_grid", "/auto/after_grid"):
         states = np.concatenate([a.ravel() for name, a in traces.items() if name.endswith(ending)])
-        assert len(np.unique(states)) >= 70  # of 77 states that a cell can have
+        assert len(np.unique(states)) >= 70  # A cell can have 77 states.
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_traces_have_something_to_tell(traces):
         ("asymmetric_advantages", "auto", "asymmetric_advantages_old_500.txt", 500),
     ],
 )
-def test_optimal_plans_earn_what_they_earn_in_the_original(layout, start_cooking, plan, best):
+def test_optimal_plans_earn_the_return_of_the_original(layout, start_cooking, plan, best):
     env = Overcooked(layout, start_cooking, random_seats=False)
     actions = np.loadtxt(GOLDEN / plan, dtype=np.int32)
     assert actions.shape == (400, 2)
@@ -112,7 +112,7 @@ def test_optimal_plans_earn_what_they_earn_in_the_original(layout, start_cooking
 @pytest.mark.parametrize("start_cooking", RULES)
 @pytest.mark.parametrize("layout", [*LAYOUTS, THREE_POTS], ids=[*LAYOUTS, "three_pots"])
 def test_live_package(layout, start_cooking, overcooked_oracle):
-    """2,000 random states, and 400 steps of play from the start, step by step the same."""
+    """Compare steps from 2,000 random states, and 400 steps of play from the start."""
     rng = np.random.default_rng(0)
     oracle = overcooked_oracle.Oracle("overcooked", layout, start_cooking)
     steps = []
@@ -134,7 +134,7 @@ def test_live_package(layout, start_cooking, overcooked_oracle):
 
     states, actions, expected, rewards, features, lossless = zip(*steps)
     stack = lambda *x: np.stack(x)  # noqa: E731
-    after, timestep, views = transition(
+    after, timestep, lossless_timestep = transition(
         layout, start_cooking, jax.tree.map(stack, *states), np.stack(actions)
     )
     expected = jax.tree.map(stack, *expected)
@@ -142,24 +142,25 @@ def test_live_package(layout, start_cooking, overcooked_oracle):
         assert count_differences(getattr(expected, name), getattr(after, name)) == 0, name
     assert count_differences(np.array(rewards), timestep.reward) == 0
     assert count_differences(np.stack(features), timestep.obs) == 0
-    assert count_differences(np.stack(lossless), views.obs) == 0
+    assert count_differences(np.stack(lossless), lossless_timestep.obs) == 0
     assert sum(rewards) > 0
 
 
-def test_keeps_the_promises_of_an_environment():
-    """With other settings than the registered ones, which are checked with all environments."""
+def test_other_settings_pass_the_check():
+    """The default settings are checked together with all registered environments."""
     envs_jax.check_environment(Overcooked(THREE_POTS, "auto", "lossless", max_steps=10))
 
 
 @pytest.mark.parametrize(
     ("start_cooking", "returned", "potted"), [("interact", 0.1204, 1.64), ("auto", 0.970, 2.28)]
 )
-def test_random_play_does_what_it_does_in_the_original(start_cooking, returned, potted):
-    """Uniformly random play of 4,096 episodes: mean return, and onions put into the pot.
+def test_random_play_equals_that_of_the_original(start_cooking, returned, potted):
+    """Compare the mean return of random play and the onions put into pots, over 4,096 episodes.
 
     In a simulator checked against the original, 4e5 episodes under "interact" return 0.1204 +-
-    0.0024, and 4e4 under "auto" 0.970 +- 0.022 (docs/overcooked.md has ours at that size). The
-    intervals are four standard errors of the 4,096 episodes, which nothing but an error leaves.
+    0.0024, and 4e4 under "auto" return 0.970 +- 0.022. docs/environments/overcooked.md has the
+    numbers of this implementation over 4e5 episodes. The tolerance is four standard errors of the
+    4,096 episodes.
     """
     returns, onions = random_play(Overcooked(start_cooking=start_cooking), 4096)
     for values, expected in ((returns, returned), (onions, potted)):
@@ -169,7 +170,7 @@ def test_random_play_does_what_it_does_in_the_original(start_cooking, returned, 
 
 
 def random_play(env, episodes):
-    """Returns of episodes, and onions put into pots in each."""
+    """Return the return of each episode, and the onions put into pots."""
     pots = env.kitchen.pots
     content = np.array([read_pot(max(state, POT))[0] for state in range(NUM_CELL_STATES)])
 

@@ -32,7 +32,7 @@ def legal(key, state, timestep):
 
 
 def returns(env, act):
-    """Mean reward at each step of an episode, over many; all end exactly at `max_steps`."""
+    """Return the mean reward of each step over many episodes, which must end at `max_steps`."""
 
     @jax.jit
     @jax.vmap
@@ -52,8 +52,8 @@ def returns(env, act):
     return np.asarray(reward).mean(0)
 
 
-# Per probe: mean reward of each step for uniformly random legal actions, a policy that solves it,
-# and mean rewards under that policy.
+# Per probe: mean reward of each step under uniformly random legal actions, a policy that solves
+# the probe, and mean rewards under that policy.
 ANSWERS = {
     "probe_constant_reward": ([1], random_action, [1]),
     "probe_observed_reward": ([0], random_action, [0]),
@@ -76,7 +76,8 @@ def test_every_probe_has_an_answer():
 def test_answer(name):
     env = envs_jax.make(name)
     at_random, solution, solved = ANSWERS[name]
-    # The widest reward is a fair +-1: standard error 1 / sqrt(2000) = 0.022; four of them.
+    # The largest variance is that of a fair +-1. Its standard error is 1 / sqrt(2000) = 0.022, and
+    # the tolerance is four of them.
     np.testing.assert_allclose(returns(env, random_action), at_random, atol=0.09)
     np.testing.assert_allclose(returns(env, solution), solved, atol=0.09)
 
@@ -91,7 +92,7 @@ def test_observed_reward_is_the_cue():
         assert outcome.reward == 2 * cues[0] - 1
 
 
-def test_what_is_hidden_stays_hidden():
+def test_hidden_facts_stay_hidden():
     def observations(name, action=(0, 0)):
         env = envs_jax.make(name)
         env_state, timestep = env.reset(jax.random.key(0))

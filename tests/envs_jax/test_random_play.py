@@ -1,4 +1,4 @@
-"""Random play is uniform over what is legal."""
+"""Random play is uniform over legal actions."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,9 @@ def test_random_actions_are_uniform_over_the_legal_ones():
     )
     assert action.shape == (num, len(masks))
     shares = (action[..., None] == jnp.arange(4)).mean(0)
-    np.testing.assert_allclose(shares, masks / masks.sum(1, keepdims=True), atol=0.015)  # 4 s.e.
+    np.testing.assert_allclose(
+        shares, masks / masks.sum(1, keepdims=True), atol=0.015
+    )  # Four standard errors.
     assert not shares[~masks].any()
 
 

@@ -23,38 +23,41 @@ def test_make_overrides_fields():
 @pytest.mark.parametrize(
     ("name", "overrides", "message"),
     [
-        ("alice_and_bo", {}, "unknown environment 'alice_and_bo'; did you mean 'alice_and_bob'?"),
-        ("tetris", {}, "unknown environment 'tetris'; choose from alice_and_bob, "),
+        ("alice_and_bo", {}, "unknown environment 'alice_and_bo' (did you mean alice_and_bob?)"),
+        ("tetris", {}, "unknown environment 'tetris' (known: alice_and_bob, "),
         (
             "alice_and_bob",
             {"max_step": 3},
-            "alice_and_bob has no field 'max_step'; did you mean 'max_steps'?",
+            "alice_and_bob has no field 'max_step' (did you mean max_steps?)",
         ),
         (
             "alice_and_bob",
             {"lives": 3},
-            "alice_and_bob has no field 'lives'; choose from max_steps, observation",
+            "alice_and_bob has no field 'lives' (known: max_steps, observation)",
         ),
-        (
-            "alice_and_bob",
-            {"max_steps": "ten"},
-            "alice_and_bob: max_steps must be of type int, got 'ten'",
-        ),
-        (
-            "alice_and_bob",
-            {"max_steps": True},
-            "alice_and_bob: max_steps must be of type int, got True",
-        ),
+        ("alice_and_bob", {"max_steps": "ten"}, "max_steps must be a whole number, got 'ten'"),
+        ("alice_and_bob", {"max_steps": True}, "max_steps must be a whole number, got True"),
+        ("overcooked", {"max_steps": 400.0}, "max_steps must be a whole number, got 400.0"),
+        ("micro_battle", {"time_limit": "60"}, "time_limit must be a whole number, got '60'"),
+        ("probe_time_limit", {"max_steps": None}, "max_steps must be a whole number, got None"),
         (
             "alice_and_bob",
             {"observation": "onehot"},
-            "alice_and_bob: observation cannot be 'onehot'; did you mean 'one_hot'?",
+            "observation must be codes or one_hot, got 'onehot'",
+        ),
+        ("overcooked", {"random_seats": "no"}, "random_seats must be True or False, got 'no'"),
+        ("overcooked", {"layout": 5}, "layout 5 is unknown (known: cramped_room, "),
+        ("micro_battle", {"scenario": 7}, "scenario 7 is unknown (known: 3m, "),
+        (
+            "overcooked",
+            {"layout": ["XXPXX"]},
+            "overcooked cannot be built with (layout=['XXPXX']): unhashable type: 'list'; check",
         ),
         ("alice_and_bob", {"max_steps": 0}, "max_steps must be at least 1, got 0"),
         ("probe_delayed_reward", {"max_steps": 1}, "max_steps must be at least 2, got 1"),
     ],
 )
-def test_make_says_what_is_wrong(name, overrides, message):
+def test_make_names_the_mistake(name, overrides, message):
     with pytest.raises(ValueError) as error:  # noqa: PT011 (the whole message is compared)
         envs_jax.make(name, **overrides)
     assert str(error.value).startswith(message)
@@ -68,17 +71,17 @@ def test_register():
         speed: float = 1.0
 
     envs_jax.register("mine", Mine)
-    envs_jax.register("mine", Mine)  # once more does no harm: notebooks run cells twice
+    envs_jax.register("mine", Mine)  # A second time is allowed, because notebooks run cells twice.
     assert "mine" in envs_jax.names()
     assert envs_jax.make("mine", speed=2) == Mine(2)
-    with pytest.raises(ValueError, match=r"'mine' is the name of .*Mine already"):
+    with pytest.raises(ValueError, match=r"the name 'mine' is already taken by .*Mine; choose"):
         envs_jax.register("mine", AliceAndBob)
-    with pytest.raises(ValueError, match="is a frozen dataclass, got <class 'int'>"):
+    with pytest.raises(ValueError, match="must be a frozen dataclass, got <class 'int'>"):
         envs_jax.register("number", int)
 
 
 def test_package_stands_alone():
-    """It loads neither the trainer nor slow dependencies, and starts no accelerator."""
+    """Importing the package loads neither the trainer nor slow packages, nor starts a device."""
     code = """
 import sys, envs_jax, jax
 loaded = {"hmasd_jax", "distrax", "flax", "optax", "matplotlib"} & set(sys.modules)

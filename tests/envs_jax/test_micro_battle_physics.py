@@ -1,4 +1,4 @@
-"""The physics of micro_battle by hand arithmetic, and how episodes begin and end."""
+"""Physics of micro_battle by hand arithmetic, and the ends of episodes."""
 
 from functools import lru_cache
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle import MicroBattle, physics
-from envs_jax.micro_battle.constants import make_roster
+from envs_jax.micro_battle.constants import unit_constants
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY
 from envs_jax.micro_battle.scenarios import Scenario, Spawn
 
@@ -20,7 +20,7 @@ KEY = jax.random.key(0)
 
 @lru_cache
 def program(allies, enemies, floor, balance):
-    """A compiled step and a start, shared by all battles between such units."""
+    """Return a compiled step and a start, shared by all battles between such units."""
     left, bottom, *_ = floor[0]
     sides = [
         tuple(Spawn(name, left + 2.0 * i + 1, bottom + row) for i, name in enumerate(names))
@@ -31,7 +31,7 @@ def program(allies, enemies, floor, balance):
 
 
 def battle(allies, enemies, floor=ROOM, balance="multi"):
-    """A compiled step, and units at exact places, e.g. `[("marine", 3, 4)]`."""
+    """Return a compiled step, and a state with units at exact places, e.g. `[("marine", 3, 4)]`."""
     names = [tuple(unit[0] for unit in side) for side in (allies, enemies)]
     step, state = program(*names, floor, balance)
     x, y = (jnp.array([unit[axis] for unit in (*allies, *enemies)], float) for axis in (1, 2))
@@ -55,7 +55,7 @@ def play(step, state, *actions):
 
 
 def hits_to_kill(step, state, action, limit=400):
-    """Attacks that begin until the only enemy, which cannot shoot, is dead."""
+    """Count the attacks that begin until the only enemy, which cannot shoot, is dead."""
     hits = 0
     state = change(state, ready={-1: NEVER})
     for number in range(limit):
@@ -64,7 +64,7 @@ def hits_to_kill(step, state, action, limit=400):
         state = change(state, ready={-1: NEVER})
         if timestep.done:
             return hits
-    raise AssertionError("it never died")
+    raise AssertionError(f"the enemy lives after {limit} steps")
 
 
 # Walking
@@ -84,7 +84,7 @@ def test_a_step_of_walking(unit, reach):
 def test_walls_block_and_are_masked():
     step, state = battle([("marine", 0.5, 5)], [("marine", 30, 30)])
     after, timestep = play(step, state, [WEST])
-    assert after.units.x[0] == 0.5  # not legal, so it stands
+    assert after.units.x[0] == 0.5  # The move is illegal, so the unit stays.
     assert not timestep.action_mask[0, WEST]
     assert timestep.action_mask[0, [STOP, NORTH, SOUTH, EAST]].all()
 
@@ -101,7 +101,7 @@ def test_units_slide_along_walls():
 def test_overlapping_units_part_and_buildings_stand():
     step, state = battle([("marine", 10, 10), ("marine", 10.5, 10)], [("marine", 30, 30)])
     units = play(step, state, [STOP, STOP])[0].units
-    np.testing.assert_allclose(units.x[:2], [9.875, 10.625], atol=1e-4)  # 0.75 apart
+    np.testing.assert_allclose(units.x[:2], [9.875, 10.625], atol=1e-4)  # 0.75 apart.
     step, state = battle([("marine", 10, 10)], [("spine_crawler", 11, 10)])
     units = play(step, change(state, ready={1: NEVER}), [STOP])[0].units
     np.testing.assert_allclose(units.x, [11 - 0.375 - 0.875, 11], atol=1e-4)
@@ -112,13 +112,13 @@ def test_overlapping_units_part_and_buildings_stand():
 
 def test_marine_dies_of_8_hits():
     step, state = battle([("marine", 10, 10), ("marine", 10, 11)], [("marine", 15.7, 10.5)])
-    assert hits_to_kill(step, state, [ATTACK, ATTACK]) in (8, 9)  # the last may be double
+    assert hits_to_kill(step, state, [ATTACK, ATTACK]) in (8, 9)  # The last two may come together.
     step, state = battle([("marine", 10, 10)], [("marine", 15.7, 10)])
     assert hits_to_kill(step, state, [ATTACK]) == 8
 
 
 def test_zealot_dies_of_29_hits():
-    # 9 on 50 shields, whose last loses 4 - 1 of health: then 97 / 5 = 20 more.
+    # 9 hits on 50 shields, the last of which takes 4 - 1 from health. Then 97 / 5 = 20 more.
     step, state = battle([("marine", 10, 10)], [("zealot", 15.7, 10)])
     assert hits_to_kill(step, state, [ATTACK]) == 29
 
@@ -140,7 +140,7 @@ def test_shots_are_a_period_and_a_random_delay_apart():
         if state.units.begun[0] >= -8:
             begun.append(time + float(state.units.begun[0]))
     apart = np.diff(begun)
-    # 0.8608 s = 13.77 ticks and U(-1, 2), rounded up to whole ticks: 13 to 16, 14.77 on average.
+    # 0.8608 s = 13.77 ticks, plus U(-1, 2), rounded up to whole ticks: 13 to 16, 14.77 on average.
     assert set(apart) == {13, 14, 15, 16}
     assert abs(apart.mean() - 14.77) < 3 * 0.9 / np.sqrt(len(apart))
 
@@ -149,21 +149,21 @@ def test_zealot_hits_twice():
     step, state = battle([("zealot", 10, 10)], [("marine", 10.9, 10)])
     state = change(state, ready={0: 1.0, 1: NEVER}, begun={1: 0.0})
     after, _ = play(step, state, [ATTACK])
-    # Blades at ticks 1 and 1 + 4.48, rounded up: both within the step, 8 each.
+    # The hits are at ticks 1 and 1 + 4.48, rounded up. Both are within the step and take 8 each.
     assert after.units.health[1] == 45 - 16
     state = change(state, ready={0: 5.0})
     middle, _ = play(step, state, [ATTACK])
     assert middle.units.health[1] == 45 - 8
-    # The second blade comes even if the order changes and the marine is out of reach by then.
+    # The second hit lands even if the order changes and the marine is out of reach by then.
     away = change(middle, x={1: 14.0}, ready={1: NEVER})
     assert play(step, away, [WEST])[0].units.health[1] == 45 - 16
 
 
-def test_spine_crawler_winds_up_and_loses_who_leaves():
+def test_spine_crawler_winds_up_and_misses_a_target_that_leaves():
     step, state = battle([("stalker", 10, 10)], [("spine_crawler", 18.3, 10)])
     hit, _ = play(step, state, [STOP])
-    assert hit.units.shield[0] == 80 - 30  # 0.3332 s are 6 ticks
-    # At 8.45 of 8.5 cells, one tick of walking is enough to be gone.
+    assert hit.units.shield[0] == 80 - 30  # 0.3332 s are 6 ticks.
+    # At 8.45 of 8.5 cells, one tick of walking is enough to leave the range.
     state = change(state, x={0: 18.3 - 8.45})
     missed, _ = play(step, state, [WEST])
     assert missed.units.shield[0] == 80
@@ -171,28 +171,28 @@ def test_spine_crawler_winds_up_and_loses_who_leaves():
     assert missed.units.target[1] == NOBODY
 
 
-def roster_of(*units):
+def constants_of(*units):
     scenario = Scenario((Spawn(units[0], 5.0, 5.0),), (Spawn(units[1], 9.0, 5.0),), ROOM)
-    return make_roster(scenario, "multi")
+    return unit_constants(scenario, "multi")
 
 
 @pytest.mark.parametrize(
     ("victim", "shooter", "health", "shield", "expected"),
     [
-        ("stalker", "spine_crawler", 80, 80, (80, 50)),  # 25 + 5, armored
-        ("stalker", "spine_crawler", 80, 20, (80 - 9, 0)),  # 20 on shields, 10 - 1 on health
+        ("stalker", "spine_crawler", 80, 80, (80, 50)),  # 25 + 5, armored.
+        ("stalker", "spine_crawler", 80, 20, (80 - 9, 0)),  # 20 on shields, 10 - 1 on health.
         ("stalker", "spine_crawler", 80, 0, (80 - 29, 0)),
         ("zealot", "marine", 100, 2, (100 - 3, 0)),
-        ("zealot", "marine", 100, 5.9, (100 - 0.5, 0)),  # armor leaves 0.5 at least
+        ("zealot", "marine", 100, 5.9, (100 - 0.5, 0)),  # A hit takes at least 0.5.
         ("marine", "stalker", 45, 0, (45 - 13, 0)),
     ],
 )
 def test_a_hit(victim, shooter, health, shield, expected):
-    roster = roster_of(victim, shooter)
+    constants = constants_of(victim, shooter)
     state = battle([(victim, 5, 5)], [(shooter, 9, 5)])[1]
     fields = {"health": {0: health}, "shield": {0: shield}, "target": {1: 0}}
     units = change(state, **fields).units
-    after = physics.take_hits(roster, units, jnp.array([False, True]), jnp.float32(3))
+    after = physics.take_hits(constants, units, jnp.array([False, True]), jnp.float32(3))
     np.testing.assert_allclose((after.health[0], after.shield[0]), expected, atol=1e-5)
     assert (after.shooter[0], after.struck[0]) == (1, 3)
     assert after.shooter[1] == NOBODY
@@ -216,26 +216,26 @@ def test_regeneration():
 @pytest.mark.parametrize(
     ("places", "fields", "expected"),
     [
-        ([(10, 10), (14, 10)], {}, 1),  # the nearer
-        ([(10, 10), (14, 10)], {"target": {2: 0}}, 1),  # an old one out of reach is left
-        ([(14.5, 10), (14.9, 10)], {"target": {2: 0}}, 0),  # and kept in reach
-        ([(10, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: -16.0}}, 0),  # who hit it
-        ([(10, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: -17.0}}, 1),  # too long ago
-        ([(5, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: 0.0}}, 1),  # too far
-        ([(14.5, 10), (13, 10)], {"health": {0: 0.0}}, 1),  # the dead are none
-        ([(5, 10), (6, 10)], {}, NOBODY),  # beyond 5 + 0.5 + 0.375
+        ([(10, 10), (14, 10)], {}, 1),  # The nearer one.
+        ([(10, 10), (14, 10)], {"target": {2: 0}}, 1),  # The old target is out of reach.
+        ([(14.5, 10), (14.9, 10)], {"target": {2: 0}}, 0),  # The old target is in reach.
+        ([(10, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: -16.0}}, 0),  # The shooter.
+        ([(10, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: -17.0}}, 1),  # Too long ago.
+        ([(5, 10), (13, 10)], {"shooter": {2: 0}, "struck": {2: 0.0}}, 1),  # Too far away.
+        ([(14.5, 10), (13, 10)], {"health": {0: 0.0}}, 1),  # The other one is dead.
+        ([(5, 10), (6, 10)], {}, NOBODY),  # Both are beyond 5 + 0.5 + 0.375.
     ],
 )
-def test_whom_a_zealot_attacks(places, fields, expected):
+def test_target_of_a_zealot(places, fields, expected):
     spawns = [("marine", *place) for place in places], [("zealot", 15.4, 10)]
     state = change(battle(*spawns)[1], **fields)
-    roster = make_roster(
+    constants = unit_constants(
         Scenario(*(tuple(Spawn(*unit) for unit in side) for side in spawns), ROOM), "multi"
     )
     units = state.units
     away = physics.length(units.x - units.x[:, None], units.y - units.y[:, None])
-    nothing = physics.Orders(jnp.full(3, NOBODY), jnp.zeros(3), jnp.zeros(3))
-    target = physics.choose_targets(roster, units, away, nothing, jnp.float32(0))
+    no_orders = physics.Orders(jnp.full(3, NOBODY), jnp.zeros(3), jnp.zeros(3))
+    target = physics.choose_targets(constants, units, away, no_orders, jnp.float32(0))
     assert target.tolist() == [NOBODY, NOBODY, expected]
 
 
@@ -249,7 +249,7 @@ def test_enemies_walk_to_their_goal_and_stay():
     assert (again.units.x[1], again.units.y[1]) == (state.units.x[1], state.units.y[1])
 
 
-def test_allies_do_nothing_unless_told():
+def test_allies_without_orders_do_nothing():
     step, state = battle([("marine", 10, 10)], [("marine", 14, 10)])
     after, _ = play(step, change(state, ready={1: NEVER}), [STOP], [STOP], [STOP])
     assert after.units.health[1] == 45
@@ -289,7 +289,7 @@ def test_defeat_and_the_time_limit():
     assert (last.terminated, last.truncated, last.reward) == (False, True, 0)
 
 
-def test_copies_that_share_an_action_step_as_each_does_alone():
+def test_batched_copies_step_as_single_ones():
     env, keys = MicroBattle("2m_vs_1z"), jax.random.split(KEY, 3)
     states, _ = jax.vmap(env.reset)(keys)
     action = jnp.array([ATTACK, EAST])

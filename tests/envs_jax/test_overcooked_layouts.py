@@ -1,4 +1,4 @@
-"""Kitchens: the five of the papers, those of users, what is refused, and pictures of them."""
+"""Kitchens of Overcooked: the five layouts, own and invalid ones, and pictures."""
 
 import numpy as np
 import pytest
@@ -82,7 +82,7 @@ def test_states_of_pots_are_numbered_without_gaps():
     assert [pot_state(*read_pot(state)) for state in states] == states
 
 
-def test_a_kitchen_of_ones_own():
+def test_own_kitchen():
     kitchen = Overcooked(OWN).kitchen
     assert (kitchen.width, kitchen.height) == (5, 3)
     assert kitchen.start.tolist() == [6, 8]
@@ -95,21 +95,27 @@ def test_a_kitchen_of_ones_own():
 @pytest.mark.parametrize(
     ("layout", "message"),
     [
-        ("cramped_rom", "layout: there is none called 'cramped_rom'; did you mean 'cramped_room'?"),
-        ("kitchen", "layout: there is none called 'kitchen'; choose from cramped_room, "),
+        ("cramped_rom", "layout 'cramped_rom' is unknown (did you mean cramped_room?)"),
+        ("kitchen", "layout 'kitchen' is unknown (known: cramped_room, "),
         ("XXPXX\nO1T2D\nXXSXX", "layout: unknown letter 'T' in row 2; a cell is X counter, "),
         ("XXPXX\nO1 2\nXXSXX", "layout: row 2 has 4 cells, row 1 has 5; make all rows equally"),
-        ("XXPXX\nO1  D\nXXSXX", "layout: found 0 times '2'; there are exactly two players"),
-        ("XXPXX\nO121D\nXXSXX", "layout: found 2 times '1'; there are exactly two players"),
+        ("XXPXX\nO1  D\nXXSXX", "layout: '2' occurs 0 times; write exactly one 1 and one 2 for"),
+        ("XXPXX\nO121D\nXXSXX", "layout: '1' occurs 2 times; write exactly one 1 and one 2 for"),
         ("XXXXX\nO1 2D\nXXSXX", "layout: no pot on the map; write at least one P"),
         ("XXPXX\nX1 2D\nXXSXX", "layout: no onions on the map; write at least one O"),
         ("XXPXX\nO1 2X\nXXSXX", "layout: no dishes on the map; write at least one D"),
         ("XXPXX\nO1 2D\nXXXXX", "layout: no serving window on the map; write at least one S"),
-        ("XXP X\nO1 2D\nXXSXX", "layout: the border is open; close it, for example with X"),
-        ("XXPXX\nO1 X2\nXXSXD", "layout: the border is open; close it, for example with X"),
+        (
+            "XXP X\nO1 2D\nXXSXX",
+            "layout: the border has a floor cell; close it, ",
+        ),
+        (
+            "XXPXX\nO1 X2\nXXSXD",
+            "layout: the border has a floor cell; close it, ",
+        ),
     ],
 )
-def test_kitchens_that_nobody_can_play_in(layout, message):
+def test_invalid_kitchens_are_refused(layout, message):
     with pytest.raises(ValueError) as error:  # noqa: PT011 (the whole message is compared)
         Overcooked(layout)
     assert str(error.value).startswith(message)
@@ -128,14 +134,14 @@ def test_kitchens_that_nobody_can_play_in(layout, message):
         ("observation", "raw", "observation must be features or lossless, got 'raw'"),
     ],
 )
-def test_other_fields_check_themselves(field, value, message):
+def test_invalid_settings_are_refused(field, value, message):
     with pytest.raises(ValueError) as error:  # noqa: PT011 (the whole message is compared)
         Overcooked(**{field: value})
     assert str(error.value) == message
 
 
 def test_pictures_show_what_changes():
-    """Every state of a cell, item in a hand and orientation looks different; seats are colors."""
+    """Check that cell states, held items, orientations and seats all look different."""
     env = Overcooked(random_seats=False)
     start, _ = env.reset(None)
     start = start._replace(**{name: np.array(getattr(start, name)) for name in ("grid", "held")})
