@@ -1,67 +1,66 @@
-"""`grid`: a sweep per value of a setting, each in a run folder of its own."""
+"""The command `grid`: one sweep per value of a setting, each in its own run folder."""
 
 import pytest
 
-from hmasd_jax.cli import train_commands as experiment
+from hmasd_jax.cli import train_commands
 from hmasd_jax.cli.main import main
-from hmasd_jax.cli.options import drop_options
+from hmasd_jax.cli.parse import drop_options
 
 WORDS = ["grid", "--num-seeds", "2", "--vary", "algorithm.skill-interval=25,50"]
 
 
 @pytest.fixture
 def sweeps(monkeypatch):
-    """What would have been trained; every sweep returns the next of `codes`."""
-    begun, codes = [], []
+    """Replace `seed_sweep`; return its calls, and a list of exit codes for the next calls."""
+    calls, codes = [], []
 
-    def pretend(command, config, options, words, seeds):
-        begun.append((command, config, options, words, seeds))
+    def pretend(config, options, words):
+        calls.append((config, options, words))
         return codes.pop(0) if codes else 0
 
-    monkeypatch.setattr(experiment, "_experiment", pretend)
-    return begun, codes
+    monkeypatch.setattr(train_commands, "seed_sweep", pretend)
+    return calls, codes
 
 
 def test_a_sweep_per_value(sweeps, tmp_path):
-    begun, _ = sweeps
+    calls, _ = sweeps
     assert main([*WORDS, "--run-dir", str(tmp_path / "k")]) == 0
-    assert [config.algorithm.skill_interval for _, config, *_ in begun] == [25, 50]
-    for value, (command, config, options, words, seeds) in zip((25, 50), begun):
+    assert [config.algorithm.skill_interval for config, _, _ in calls] == [25, 50]
+    for value, (config, options, words) in zip((25, 50), calls):
         folder = tmp_path / "k" / f"skill_interval_{value}"
         assert options.run_dir == folder
         assert not options.resume
-        assert seeds == [0, 1]
         assert config.num_seeds == 2
         # The command that makes this folder alone.
-        assert [command, *words] == [
+        assert words == [
             "seed_sweep", "--num-seeds", "2", "--algorithm.skill_interval", str(value),
             "--run-dir", str(folder),
         ]  # fmt: skip
 
 
-def test_resume_continues_what_was_begun_and_begins_the_rest(sweeps, tmp_path, capsys):
-    begun, _ = sweeps
+def test_resume_continues_started_sweeps_and_starts_the_others(sweeps, tmp_path, capsys):
+    calls, _ = sweeps
     (tmp_path / "skill_interval_50").mkdir()
     words = [*WORDS, "--run-dir", str(tmp_path)]
     assert main(words) == 2
     assert "skill_interval_50 exists: continue with --resume" in capsys.readouterr().err
-    assert not begun
+    assert not calls
     assert main([*words, "--resume"]) == 0
-    assert [options.resume for _, _, options, *_ in begun] == [False, True]
+    assert [options.resume for _, options, _ in calls] == [False, True]
 
 
 def test_a_failed_sweep_does_not_keep_the_others_from_running(sweeps, tmp_path):
-    begun, codes = sweeps
-    codes += [experiment.FAILED, 0]
-    assert main([*WORDS, "--run-dir", str(tmp_path)]) == experiment.FAILED
-    assert len(begun) == 2
+    calls, codes = sweeps
+    codes += [train_commands.FAILED, 0]
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == train_commands.FAILED
+    assert len(calls) == 2
 
 
 def test_an_interrupt_ends_all(sweeps, tmp_path):
-    begun, codes = sweeps
-    codes += [experiment.INTERRUPTED]
-    assert main([*WORDS, "--run-dir", str(tmp_path)]) == experiment.INTERRUPTED
-    assert len(begun) == 1
+    calls, codes = sweeps
+    codes += [train_commands.INTERRUPTED]
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == train_commands.INTERRUPTED
+    assert len(calls) == 1
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,16 @@ import sys
 
 import pytest
 
-from hmasd_jax import config
-from hmasd_jax.cli import options as arguments
 from hmasd_jax.cli.main import COMMANDS, main
-from hmasd_jax.config import ConfigError
+from hmasd_jax.cli.options import (
+    EvaluateOptions,
+    PlotOptions,
+    RenderOptions,
+    SweepOptions,
+    TrainOptions,
+)
+from hmasd_jax.cli.parse import parse
+from hmasd_jax.config import ConfigError, load
 from hmasd_jax.config.from_table import Flag, Text
 
 
@@ -21,7 +27,7 @@ def run(*words):
 
 def test_words_become_options_and_overrides():
     words = ["--config", "a.toml", "--resume", "--env.max-steps=3", "--seed", "-4", "--x.flag"]
-    options, overrides = arguments.parse(arguments.SweepOptions, words)
+    options, overrides = parse(SweepOptions, words)
     assert str(options.config) == "a.toml"
     assert options.resume
     assert not options.wandb
@@ -34,18 +40,45 @@ def test_words_become_options_and_overrides():
 )
 def test_a_list_is_typed_as_words_or_as_in_toml(words, indices):
     name = "--algorithm.discriminator-obs"
-    _, overrides = arguments.parse(arguments.TrainOptions, [name, *words, "--seed", "3"])
-    loaded = config.load(None, overrides)
+    _, overrides = parse(TrainOptions, [name, *words, "--seed", "3"])
+    loaded = load(None, overrides)
     assert loaded.algorithm.discriminator_obs == indices
     assert loaded.seed == 3
 
 
 def test_runs_of_plot_need_no_name():
     words = ["a", "b", "--out", "c.png"]
-    options, _ = arguments.parse(arguments.PlotOptions, words, "runs")
+    options, _ = parse(PlotOptions, words)
     assert list(map(str, options.runs)) == ["a", "b"]
     with pytest.raises(ConfigError, match="unexpected 'b': a is given already"):
-        arguments.parse(arguments.EvaluateOptions, ["a", "b"], "run")
+        parse(EvaluateOptions, ["a", "b"])
+
+
+@pytest.mark.parametrize("name", ["--seed-index", "--seed_index", "--seed"])
+def test_render_still_knows_the_former_name_of_its_seed_index(name):
+    options, overrides = parse(RenderOptions, [name, "3", "--out", "x.gif", "run"])
+    assert options.seed_index == 3
+    assert str(options.run) == "run"
+    assert not overrides
+
+
+def test_a_word_after_a_flag_or_a_value_is_not_part_of_it():
+    options, _ = parse(EvaluateOptions, ["--sampled", "--episodes", "3", "run"])
+    assert (str(options.run), options.sampled, options.episodes) == ("run", True, 3)
+    with pytest.raises(ConfigError, match="unexpected 'b'"):
+        parse(TrainOptions, ["--algorithm.skill-prior", "--run-dir", "a", "b"])
+
+
+@pytest.mark.parametrize(
+    ("cls", "words", "repeated"),
+    [
+        (TrainOptions, ["--run-dir", "a", "--seed", "3"], []),
+        (TrainOptions, ["--seed-index", "2", "--wandb"], ["--wandb", "--seed-index", "2"]),
+        (SweepOptions, ["--distributed", "--config", "b"], ["--distributed"]),
+    ],
+)
+def test_options_to_repeat_when_a_run_is_resumed(cls, words, repeated):
+    assert parse(cls, words)[0].repeated == repeated
 
 
 MISTAKES = [
@@ -141,16 +174,25 @@ def test_without_a_command_the_commands_are_listed(capsys):
     assert all(text.count(f"  {name} ") == 2 for name in COMMANDS)
 
 
-def test_mistakes_and_help_come_before_the_slow_imports():
-    """distrax alone takes seconds to import; jax must not have started a device."""
-    code = (
-        "import sys; from hmasd_jax.train import main; rc = main(sys.argv[1:]); "
-        "slow = {'distrax', 'orbax', 'matplotlib'} & set(sys.modules); "
-        "sys.exit(f'{rc} {slow}')"
+@pytest.mark.parametrize(
+    ("words", "code", "slow"),
+    [
+        (["--help"], 0, {"jax", "numpy", "rich"}),
+        (["render", "--help"], 0, {"jax", "numpy"}),
+        (["train", "--help"], 0, {"distrax", "orbax", "tensorflow_probability", "matplotlib"}),
+        (["train", "--num-seeds", "x"], 2, {"distrax", "orbax", "matplotlib"}),
+    ],
+)
+def test_help_and_mistakes_do_not_wait_for_slow_imports(words, code, slow):
+    program = (
+        "import sys; from hmasd_jax.train import main; "
+        "print(main(sys.argv[1:]), *sys.modules, file=sys.stderr)"
     )
-    for words, rc in ((["train", "--help"], 0), (["train", "--num-seeds", "x"], 2)):
-        done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True)
-        assert done.stderr.splitlines()[-1] == f"{rc} set()"
+    command = [sys.executable, "-c", program, *words]
+    done = subprocess.run(command, capture_output=True, text=True)
+    result, *imported = done.stderr.splitlines()[-1].split()
+    assert int(result) == code
+    assert not slow & set(imported)
 
 
 def test_exit_code_of_the_process():
@@ -159,10 +201,11 @@ def test_exit_code_of_the_process():
     assert done.stderr == "error: seed must be a whole number, got 'x'\n"
 
 
-def test_a_reader_of_the_help_may_leave_early():
+@pytest.mark.parametrize("words", [["--help"], ["plot", "--help"], ["train", "--help"]])
+def test_a_reader_of_the_help_may_leave_early(words):
     read, write = os.pipe()
     os.close(read)
-    command = [sys.executable, "-m", "hmasd_jax.train", "train", "--help"]
+    command = [sys.executable, "-m", "hmasd_jax.train", *words]
     done = subprocess.run(command, stdout=write, stderr=subprocess.PIPE, text=True)
     os.close(write)
     assert (done.returncode, done.stderr) == (0, "")

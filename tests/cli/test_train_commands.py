@@ -9,34 +9,39 @@ import jax
 import numpy as np
 import pytest
 
-from hmasd_jax import config as configs
-from hmasd_jax.cli import train_commands as experiment
 from hmasd_jax.cli.main import main
+from hmasd_jax.cli.train_commands import keep_executables
+from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.runs import checkpoint
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs import metrics_log as logging
-from hmasd_jax.runs.folder import metrics_path
+from hmasd_jax.runs import checkpoint, metrics_log
+from hmasd_jax.runs.folder import (
+    checkpoint_folder,
+    create,
+    lock,
+    metrics_path,
+    read_config,
+    seeds_of,
+)
 from hmasd_jax.runs.load import load_run
-from hmasd_jax.training import host_memory as memory
-from hmasd_jax.training import loop as trainer
+from hmasd_jax.training import host_memory, loop
 from hmasd_jax.training.compiled import evaluation_key, seed_key
-from hmasd_jax.training.loop import Job, train_seeds
+from hmasd_jax.training.job import Job
+from hmasd_jax.training.loop import train_seeds
 from hmasd_jax.validation import ConfigError
 from tests.helpers import toy
 from tests.helpers.toy import SETTINGS, numbers, words
 
 
 def make_job(run, **more):
-    config = configs.load(None, SETTINGS | more)
-    run_folder.create(run, config, [])
+    config = load(None, SETTINGS | more)
+    create(run, config, [])
     events = []
-    return Job(run, config, (), events.append, lambda: False), events
+    return Job(run, config, *build(config), (), events.append, lambda: False), events
 
 
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
-    """Seed 1, trained by itself."""
+    """Train seed 1 alone and return its run folder."""
     run = tmp_path_factory.mktemp("alone") / "run"
     assert main(["train", "--run-dir", str(run), "--seed-index", "1", *words()]) == 0
     return run
@@ -45,7 +50,7 @@ def alone(tmp_path_factory):
 def test_a_run_folder_holds_everything(alone):
     names = {"config.json", "run.json", "summary.json", "curves.png", "seed_1"}
     assert {path.name for path in alone.iterdir()} == names
-    assert run_folder.read_config(alone) == configs.load(None, SETTINGS)
+    assert read_config(alone) == load(None, SETTINGS)
     record = json.loads((alone / "run.json").read_text())
     assert record["command"][1:4] == ["-m", "hmasd_jax.train", "train"]
     assert record["jax"] == jax.__version__
@@ -57,7 +62,7 @@ def test_a_run_folder_holds_everything(alone):
 
 
 def test_records_come_at_their_steps(alone):
-    records = logging.read(metrics_path(alone, 1))
+    records = metrics_log.read(metrics_path(alone, 1))
     assert {record["seed"] for record in records} == {1}
     steps = [[r["env_steps"] for r in records if r["kind"] == k] for k in ("train", "eval")]
     assert steps == [[40, 80, 120, 160, 200], [0, 80, 160, 200]]
@@ -68,13 +73,13 @@ def test_records_come_at_their_steps(alone):
 def test_training_metrics_are_pooled_over_updates(alone):
     # Update u ends u % 3 episodes, one of them a success if u % 3 == 2. Two updates per line:
     # (1, 2): 3 episodes, 1 success; (3, 4): 0 + 1, none; (5, 6): 2 + 0, 1; (7, 8): 3, 1; (9, 10)
-    train = [r for r in logging.read(metrics_path(alone, 1)) if r["kind"] == "train"]
+    train = [r for r in metrics_log.read(metrics_path(alone, 1)) if r["kind"] == "train"]
     assert [r["episodes"] for r in train] == [3, 1, 2, 3, 1]
     assert [r["success"] for r in train] == [1 / 3, 0, 1 / 2, 1 / 3, 0]
     # "loss" is the parameters' mean after each update, averaged over the two
     config, (_, algorithm) = (
-        configs.load(None, SETTINGS),
-        configs.build(configs.load(None, SETTINGS)),
+        load(None, SETTINGS),
+        build(load(None, SETTINGS)),
     )
     state = algorithm.init(seed_key(config, 1))
     losses = []
@@ -86,23 +91,26 @@ def test_training_metrics_are_pooled_over_updates(alone):
 
 
 def test_without_an_episode_there_is_no_success():
-    pooled = trainer._pool({"episodes": 0.0, "episode_sum/success": 0.0, "loss": 3.0}, 2)
+    pooled = loop._pool({"episodes": 0.0, "episode_sum/success": 0.0, "loss": 3.0}, 2)
     assert pooled == {"episodes": 0.0, "loss": 1.5}
 
 
 def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
-    last = logging.read(metrics_path(alone, 1))[-1]
+    last = metrics_log.read(metrics_path(alone, 1))[-1]
     assert main(["evaluate", str(alone)]) == 0
     text = capsys.readouterr().out
     assert f"{last['length']:.3f}" in text
     assert "5 greedy episodes" in text
-    # and the state that was saved is the one that was evaluated
+    # The saved state is the one that was evaluated.
     trained = load_run(alone, 1)
     state, key = (
         jax.tree.map(lambda x: x[None], trained.state),
         evaluation_key(trained.config, 1, 200),
     )
-    metrics = trainer.compiled(trained.config, 1, "vmap").evaluate(state, key[None])
+    compiled = loop.compiled(
+        trained.env, trained.algorithm, trained.config.eval_episodes, 1, "vmap"
+    )
+    metrics = compiled.evaluate(state, key[None])
     assert float(metrics["length"][0]) == last["length"]
     assert main(["evaluate", str(alone), "--sampled", "--episodes", "3"]) == 0
     assert "3 sampled episodes" in capsys.readouterr().out
@@ -111,14 +119,14 @@ def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
 @pytest.mark.parametrize("layout", ["workers", "vmap", "map", "sharded"])
 def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, layout, tmp_path):
     command = [sys.executable, toy.__file__, "seed_sweep", "--run-dir", str(tmp_path / "run")]
-    # Two devices for three seeds, so that sharding has to fill up.
+    # Two devices for three seeds, so that sharding must pad.
     env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
     done = subprocess.run(
         [*command, *words(layout=layout)], capture_output=True, text=True, env=env
     )
     assert done.returncode == 0, done.stderr
     run = tmp_path / "run"
-    assert run_folder.seeds_of(run) == [0, 1, 2]
+    assert seeds_of(run) == [0, 1, 2]
     if layout == "workers":
         assert numbers(run, 1) == numbers(alone, 1)
     for ours, theirs in zip(numbers(run, 1), numbers(alone, 1), strict=True):
@@ -151,9 +159,9 @@ def test_an_existing_folder_is_not_overwritten(alone, capsys):
 
 @pytest.fixture(scope="module")
 def fragile():
-    """Which of the three seeds turn to NaN at update 6 of a run that asks for it."""
-    config = configs.load(None, SETTINGS)
-    _, algorithm = configs.build(config)
+    """Return for seeds 0 to 2 whether they turn to NaN at update `explode_at`."""
+    config = load(None, SETTINGS)
+    _, algorithm = build(config)
     flags = [bool(algorithm.init(seed_key(config, i)).fragile) for i in range(3)]
     assert any(flags)
     assert not all(flags)
@@ -168,16 +176,16 @@ def test_a_seed_that_is_not_finite_stops_alone(together, fragile, tmp_path):
     for group in groups:
         results |= train_seeds(job, group)
     for seed, is_fragile in enumerate(fragile):
-        folder = run_folder.checkpoint_folder(job.run, seed)
+        folder = checkpoint_folder(job.run, seed)
         if not is_fragile:
             assert results[seed].kind == "finished"
             assert checkpoint.latest_step(folder) == 200
             continue
-        # Update 6 is in the stretch up to env step 120; what was saved at 80 is the last good.
+        # Update 6 is in the stretch up to env step 120; the checkpoint at 80 is the last good one.
         assert results[seed].kind == "failed"
         message = results[seed].data["message"]
         assert "not finite at env step 120" in message
-        assert message.endswith(f"last good checkpoint: {folder / '80'}")
+        assert message.endswith(f"last good checkpoint: {folder / '80.npz'}")
         assert checkpoint.steps(folder) == [80]
         assert numbers(job.run, seed)[-1]["env_steps"] == 80
 
@@ -195,7 +203,7 @@ def test_a_failed_seed_is_told_with_what_to_do(tmp_path, capsys, fragile):
 
 def test_no_two_processes_train_one_seed(tmp_path):
     job, _ = make_job(tmp_path / "run")
-    with run_folder.lock(job.run, 0):
+    with lock(job.run, 0):
         result = train_seeds(job, [0])[0]
     assert result.kind == "failed"
     assert "another process is training" in result.data["message"]
@@ -203,17 +211,17 @@ def test_no_two_processes_train_one_seed(tmp_path):
 
 
 def test_auto_layout_takes_workers_on_a_cpu():
-    config = configs.load(None, SETTINGS)
-    assert trainer.choose_layout(config) == "workers"
-    assert trainer.choose_layout(dataclasses.replace(config, layout="vmap")) == "vmap"
+    config = load(None, SETTINGS)
+    assert loop.choose_layout(config) == "workers"
+    assert loop.choose_layout(dataclasses.replace(config, layout="vmap")) == "vmap"
 
 
 def test_auto_layout_takes_all_accelerators(monkeypatch):
-    config = configs.load(None, SETTINGS)
+    config = load(None, SETTINGS)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert trainer.choose_layout(config) == "vmap"
+    assert loop.choose_layout(config) == "vmap"
     monkeypatch.setattr(jax, "local_device_count", lambda: 2)
-    assert trainer.choose_layout(config) == "sharded"
+    assert loop.choose_layout(config) == "sharded"
 
 
 @pytest.mark.parametrize(
@@ -225,7 +233,7 @@ def test_executables_are_kept_on_accelerators(backend, before, after, monkeypatc
     was = jax.config.jax_compilation_cache_dir
     try:
         jax.config.update("jax_compilation_cache_dir", before)
-        experiment.keep_executables()
+        keep_executables()
         kept = jax.config.jax_compilation_cache_dir
         assert kept == (after and str(Path(after).expanduser()))
     finally:
@@ -234,8 +242,9 @@ def test_executables_are_kept_on_accelerators(backend, before, after, monkeypatc
 
 def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path, monkeypatch):
     job, events = make_job(tmp_path / "run", layout="vmap")
-    together = trainer.compiled(job.config, 3, "vmap").memory_bytes
-    monkeypatch.setattr(memory, "available_bytes", lambda: together - 1)
+    programs = loop.compiled(job.env, job.algorithm, job.config.eval_episodes, 3, "vmap")
+    together = programs.memory_bytes
+    monkeypatch.setattr(host_memory, "available_bytes", lambda: together - 1)
     results = train_seeds(job, [0, 1, 2])
     assert [results[seed].kind for seed in range(3)] == ["finished"] * 3
     order = [(event.kind, event.seed) for event in events if event.kind in ("start", "finished")]
@@ -248,8 +257,8 @@ def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path,
 
 def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch):
     job, _ = make_job(tmp_path / "run", layout="vmap", total_env_steps=40)
-    monkeypatch.setattr(memory, "seeds_at_once", lambda count, _: 2)
-    asked = iter([False, True])  # before the only stretch of seeds 0 and 1, then before seed 2
+    monkeypatch.setattr(host_memory, "seeds_at_once", lambda count, _: 2)
+    asked = iter([False, True])  # Before the only stretch of seeds 0 and 1, then before seed 2.
     results = train_seeds(job._replace(should_stop=lambda: next(asked)), [0, 1, 2])
     assert [results[seed].kind for seed in range(3)] == ["finished", "finished", "interrupted"]
     assert not metrics_path(job.run, 2).exists()
@@ -270,4 +279,4 @@ def test_types_without_a_name_cannot_be_written_down():
         ppo: object = dataclasses.field(default_factory=PPOConfig)
 
     with pytest.raises(ConfigError, match="Unknown is not registered"):
-        configs.to_json(configs.TrainConfig(algorithm=Unknown()))
+        to_json(TrainConfig(algorithm=Unknown()))

@@ -5,8 +5,7 @@ from pathlib import Path
 import pytest
 
 from envs_jax.registry import ENVIRONMENTS
-from hmasd_jax import config as configs
-from hmasd_jax.config import ConfigError, TrainConfig
+from hmasd_jax.config import ConfigError, TrainConfig, build, from_json, load, to_json
 from hmasd_jax.config.from_table import Flag, Text
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.rl.ppo import PPOConfig
@@ -16,19 +15,19 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 
 
 def test_defaults_are_the_papers_preset():
-    """An installed package needs no file."""
-    assert configs.load(CONFIGS / "alice_and_bob/hmasd.toml") == TrainConfig() == configs.load()
+    """Check that an installed package needs no file."""
+    assert load(CONFIGS / "alice_and_bob/hmasd.toml") == TrainConfig() == load()
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.rglob("*.toml")), ids=lambda p: p.stem)
 def test_every_shipped_config_loads_and_survives_json(path, tmp_path):
-    config = configs.load(path)
-    table = configs.to_json(config)
-    assert configs.from_json(table) == config
+    config = load(path)
+    table = to_json(config)
+    assert from_json(table) == config
     saved = tmp_path / "config.json"
     saved.write_text(json.dumps(table))
-    assert configs.load(saved) == config
-    env, algorithm = configs.build(config)
+    assert load(saved) == config
+    env, algorithm = build(config)
     assert env is config.env
     assert callable(algorithm.update)
 
@@ -36,9 +35,9 @@ def test_every_shipped_config_loads_and_survives_json(path, tmp_path):
 @pytest.mark.parametrize("hmasd", sorted(CONFIGS.rglob("hmasd.toml")), ids=lambda p: p.parent.stem)
 @pytest.mark.parametrize("baseline", ["mappo", "mat"])
 def test_baselines_have_the_task_budget_and_optimization_of_hmasd(hmasd, baseline):
-    ours, theirs = (configs.to_json(configs.load(hmasd.with_stem(n))) for n in ("hmasd", baseline))
+    ours, theirs = (to_json(load(hmasd.with_stem(n))) for n in ("hmasd", baseline))
     assert theirs["algorithm"]["name"] == baseline
-    if baseline == "mat":  # which has no memory
+    if baseline == "mat":  # MAT has no recurrent memory.
         del ours["algorithm"]["ppo"]["sequence_length"]
         del theirs["algorithm"]["ppo"]["sequence_length"]
     assert theirs["algorithm"]["ppo"] == ours["algorithm"]["ppo"]
@@ -48,7 +47,7 @@ def test_baselines_have_the_task_budget_and_optimization_of_hmasd(hmasd, baselin
 def test_overrides_win_over_the_file(tmp_path):
     path = tmp_path / "a.toml"
     path.write_text("seed = 3\n[env]\nmax_steps = 7\n[algorithm.ppo]\nnum_envs = 8\n")
-    config = configs.load(path, {"algorithm.ppo.num_envs": 4, "env.observation": "one_hot"})
+    config = load(path, {"algorithm.ppo.num_envs": 4, "env.observation": "one_hot"})
     assert (config.seed, config.env.max_steps, config.env.observation) == (3, 7, "one_hot")
     assert config.algorithm.ppo.num_envs == 4
     assert config.algorithm.ppo.hidden_size == PPOConfig().hidden_size
@@ -58,13 +57,13 @@ def test_another_environment_leaves_the_files_settings_of_its_own_behind(tmp_pat
     path = tmp_path / "a.toml"
     path.write_text('[env]\nname = "alice_and_bob"\nobservation = "one_hot"\n')
     names = [n for n in ENVIRONMENTS if n != "alice_and_bob"]
-    config = configs.load(path, {"env.name": names[0]})
-    assert configs.to_json(config)["env"]["name"] == names[0]
-    assert configs.load(path, {"env.name": "alice_and_bob"}).env.observation == "one_hot"
+    config = load(path, {"env.name": names[0]})
+    assert to_json(config)["env"]["name"] == names[0]
+    assert load(path, {"env.name": "alice_and_bob"}).env.observation == "one_hot"
 
 
 def test_words_are_read_as_their_fields_type():
-    config = configs.load(
+    config = load(
         None,
         {
             "total_env_steps": Text("3.2e4"),
@@ -129,7 +128,7 @@ MISTAKES = [
 @pytest.mark.parametrize(("overrides", "message"), MISTAKES, ids=lambda x: str(x)[:40])
 def test_a_mistake_is_one_line_that_names_the_field(overrides, message):
     with pytest.raises(ConfigError) as error:
-        configs.load(None, overrides)
+        load(None, overrides)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
 
@@ -147,10 +146,10 @@ def test_a_bad_file_is_named(tmp_path, name, text, message):
     path = tmp_path / name
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"^[^\n]*$") as error:
-        configs.load(path)
+        load(path)
     assert message in str(error.value)
     with pytest.raises(ConfigError, match=r"cannot read config file .*none.toml: No such file"):
-        configs.load(tmp_path / "none.toml")
+        load(tmp_path / "none.toml")
 
 
 def test_settings_check_themselves_without_a_file():
@@ -173,7 +172,7 @@ def test_plan_of_the_paper():
 
 
 def test_metrics_are_logged_at_every_stop():
-    """Whatever the intervals, evaluations and checkpoints fall where a stretch of metrics ends."""
+    """Check that evaluations and checkpoints fall on ends of stretches, whatever the intervals."""
     base = TrainConfig()
     for eval_interval, log_interval in ((80_000, 30_000), (70_000, 16_000), (1, 10**9)):
         config = dataclasses.replace(base, eval_interval=eval_interval, log_interval=log_interval)

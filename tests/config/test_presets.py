@@ -1,4 +1,4 @@
-"""What the shipped presets say of themselves, and what indices in them stand for."""
+"""Comments in the shipped presets, and the features that their indices stand for."""
 
 import dataclasses
 import re
@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax import config as configs
+from hmasd_jax.config import load
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EAST = 4
 
 
 def settings(path: Path) -> set[tuple]:
-    """All settings of a configuration, each with its value."""
-    config = dataclasses.asdict(configs.load(path))
+    """Return (name, value) of all settings of a configuration."""
+    config = dataclasses.asdict(load(path))
     leaves, _ = jax.tree.flatten_with_path(config, is_leaf=lambda x: not isinstance(x, dict))
     return {(path[-1].key, value) for path, value in leaves}
 
@@ -35,7 +35,7 @@ def test_robust_presets_mark_what_differs_from_the_papers(path):
 
 @pytest.mark.parametrize("name", ["hmasd_robust", "quick"])
 def test_q_d_of_alice_and_bob_sees_row_and_column(name):
-    config = configs.load(CONFIGS / f"alice_and_bob/{name}.toml")
+    config = load(CONFIGS / f"alice_and_bob/{name}.toml")
     state, timestep = config.env.reset(jax.random.key(0))
     seen = timestep.obs[:, jnp.array(config.algorithm.discriminator_obs)]
     np.testing.assert_array_equal(seen, state.position)
@@ -43,8 +43,8 @@ def test_q_d_of_alice_and_bob_sees_row_and_column(name):
 
 @pytest.mark.parametrize("scenario", ["3m", "2m_vs_1z"])
 def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
-    """Agents walk east until an enemy of their own, if there are enough, is in reach, and shoot."""
-    config = configs.load(CONFIGS / f"micro_battle/{scenario}/hmasd_robust.toml")
+    """Agents walk east and shoot at an enemy of their own, if there are enough, once in range."""
+    config = load(CONFIGS / f"micro_battle/{scenario}/hmasd_robust.toml")
     env, indices = config.env, jnp.array(config.algorithm.discriminator_obs)
     enemies = env.num_actions - FIRST_ATTACK
     target = jnp.arange(env.num_agents) % enemies

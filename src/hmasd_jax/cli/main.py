@@ -1,132 +1,189 @@
-"""`python -m hmasd_jax.train COMMAND`: the command line."""
+"""`python -m hmasd_jax.train COMMAND`: the command line.
+
+Nothing here imports JAX before it is known what to run.
+"""
 
 import os
 import sys
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from envs_jax.registry import ENVIRONMENTS
-from hmasd_jax import config
-from hmasd_jax.algorithms import ALGORITHMS
-from hmasd_jax.cli import options as arguments
-from hmasd_jax.config import ConfigError
-from hmasd_jax.validation import suggest
+from hmasd_jax.cli.options import (
+    CompareOptions,
+    EvaluateOptions,
+    GridOptions,
+    Options,
+    PlotOptions,
+    RenderOptions,
+    RunOptions,
+    SweepOptions,
+    TrainOptions,
+)
+from hmasd_jax.validation import ConfigError
 
 
 class Command(NamedTuple):
-    """One word of the command line."""
+    """One command of the command line."""
 
     summary: str
-    options: type
-    positional: str | None
-    """Option that takes words without a name; None for commands that take settings."""
+    options: type[Options]
+    """Its options. Commands with `RunOptions` take settings, too."""
+    load: Callable[[], Callable[..., int]]
+    """Import the function that runs the command and returns the exit code.
+
+    With `RunOptions` its arguments are the configuration, the options and the words of the command
+    line; else the options only.
+    """
+
+
+def _train() -> Callable[..., int]:
+    from hmasd_jax.cli.train_commands import train
+
+    return train
+
+
+def _seed_sweep() -> Callable[..., int]:
+    from hmasd_jax.cli.train_commands import seed_sweep
+
+    return seed_sweep
+
+
+def _grid() -> Callable[..., int]:
+    from hmasd_jax.cli.train_commands import grid
+
+    return grid
+
+
+def _evaluate() -> Callable[..., int]:
+    from hmasd_jax.cli.inspect_commands import evaluate_checkpoints
+
+    return evaluate_checkpoints
+
+
+def _render() -> Callable[..., int]:
+    from hmasd_jax.cli.inspect_commands import render
+
+    return render
+
+
+def _plot() -> Callable[..., int]:
+    from hmasd_jax.cli.inspect_commands import plot
+
+    return plot
+
+
+def _compare() -> Callable[..., int]:
+    from hmasd_jax.cli.inspect_commands import compare
+
+    return compare
 
 
 COMMANDS = {
-    "train": Command("Train one seed.", arguments.TrainOptions, None),
+    "train": Command("Train one seed.", TrainOptions, _train),
     "seed_sweep": Command(
         "Train several seeds of one experiment; without arguments, the paper's HMASD on "
         "Alice_and_Bob.",
-        arguments.SweepOptions,
-        None,
+        SweepOptions,
+        _seed_sweep,
     ),
     "grid": Command(
         "Train several seeds for each value of one setting, e.g. --vary "
         "algorithm.num_skills=2,3,4,5.",
-        arguments.GridOptions,
-        None,
+        GridOptions,
+        _grid,
     ),
     "evaluate": Command(
         "Play episodes with the newest checkpoint of every seed of a run.",
-        arguments.EvaluateOptions,
-        "run",
+        EvaluateOptions,
+        _evaluate,
     ),
-    "render": Command("Draw an episode as a GIF.", arguments.RenderOptions, "run"),
-    "plot": Command("Plot learning curves of runs.", arguments.PlotOptions, "runs"),
+    "render": Command("Draw an episode as a GIF.", RenderOptions, _render),
+    "plot": Command("Plot learning curves of runs.", PlotOptions, _plot),
     "compare": Command(
         "Compare runs on one task: curves, and statistics over seeds with intervals.",
-        arguments.CompareOptions,
-        "runs",
+        CompareOptions,
+        _compare,
     ),
 }
 
 
 def main(words: list[str] | None = None) -> int:
-    """Run the command line `words` (those of the process if None); the exit code."""
+    """Run a command line and return the exit code.
+
+    Args:
+        words: Words after the program's name; None takes those of this process.
+    """
     words = sys.argv[1:] if words is None else words
     wants_help = any(word in ("-h", "--help") for word in words)
     words = [word for word in words if word not in ("-h", "--help")]
-    if not words:
-        print(usage())
-        return 0 if wants_help else 2
-    name, rest = words[0], words[1:]
     try:
-        if name not in COMMANDS:
-            raise ConfigError(f"unknown command {name!r}{suggest(name, COMMANDS)}")
-        return _help(name, rest) if wants_help else _run(name, rest)
+        if wants_help or not words:
+            _print_help(words)
+            return 0 if wants_help else 2
+        command = _find(words[0])
+        from hmasd_jax.cli.parse import load_config, parse
+
+        options, overrides = parse(command.options, words[1:])
+        if isinstance(options, RunOptions):
+            config = load_config(options, overrides)
+            return command.load()(config, options, words)
+        return command.load()(options)
     except ConfigError as error:
         return _complain(error)
-    except BrokenPipeError:  # the reader has seen enough, as in `--help | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except _expected_errors() as error:
+        return _complain(error)
+    except OSError as error:  # Most often a full disk.
+        print(f"error: {error}; what was saved before stays usable", file=sys.stderr)
+        return 1
 
 
 def usage() -> str:
-    """What the commands are."""
+    """Return the list of commands."""
     lines = [f"  {name:<11} {command.summary}" for name, command in COMMANDS.items()]
     head = "usage: python -m hmasd_jax.train COMMAND [--help] [OPTIONS]"
     return "\n".join([head, "", *lines])
 
 
-def _help(name: str, words: list[str]) -> int:
-    command = COMMANDS[name]
-    if command.positional:
-        arguments.write_help(name, command.summary, command.options, None)
-        return 0
-    options, overrides = arguments.parse(command.options, words)
-    summary = (
-        f"{command.summary} --env.name is one of {', '.join(ENVIRONMENTS)}; --algorithm.name is "
-        f"one of {', '.join(ALGORITHMS)}. Values shown are those that the rest of the command "
-        "line gives."
-    )
-    settings = config.load(options.config, overrides)
-    arguments.write_help(name, summary, command.options, settings)
-    return 0
+def _print_help(words: list[str]) -> None:
+    """Print the help of the command in `words`, or the list of commands if there is none."""
+    try:
+        if words:
+            _describe(words[0], words[1:])
+        else:
+            print(usage())
+        sys.stdout.flush()
+    except BrokenPipeError:  # The reader has left, as in `--help | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _run(name: str, words: list[str]) -> int:
-    command = COMMANDS[name]
-    options, overrides = arguments.parse(command.options, words, command.positional)
-    if command.positional:
-        arguments.refuse_overrides(command.options, overrides)
-        from hmasd_jax.cli import inspect_commands as inspection
+def _describe(name: str, words: list[str]) -> None:
+    """Print the help of one command, with the settings that `words` give."""
+    command = _find(name)
+    from hmasd_jax.cli.help import write_help
 
-        action: Callable[..., int] = getattr(inspection, name)
-        return _guarded(action, options)
-    if options.resume and options.run_dir is None:
-        raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
-    saved = options.saved_config
-    if saved and not saved.is_file():
-        raise ConfigError(f"{options.run_dir} is not a run folder: it has no config.json")
-    settings = config.load(options.config or saved, overrides)
-    from hmasd_jax.cli import train_commands as experiment
+    config = None
+    if issubclass(command.options, RunOptions):
+        from hmasd_jax.cli.parse import load_config, parse
 
-    return _guarded(getattr(experiment, name), settings, options, words)
+        config = load_config(*parse(command.options, words))
+    write_help(name, command.summary, command.options, config)
 
 
-def _guarded(action: Callable[..., int], *args: Any) -> int:
-    """Run `action`; what the user can mend is told in one line."""
+def _find(name: str) -> Command:
+    if name in COMMANDS:
+        return COMMANDS[name]
+    from envs_jax.choices import suggest
+
+    raise ConfigError(f"unknown command {name!r}{suggest(name, COMMANDS)}")
+
+
+def _expected_errors() -> tuple[type[Exception], ...]:
+    """Import the errors that the user can correct; called when an exception is raised."""
     from envs_jax.optional import MissingPackageError
     from hmasd_jax.runs.checkpoint import CheckpointError
     from hmasd_jax.runs.folder import RunError
 
-    try:
-        return action(*args)
-    except (RunError, CheckpointError, MissingPackageError) as error:
-        return _complain(error)
-    except OSError as error:  # above all a full disk
-        print(f"error: {error}; what was saved before stays usable", file=sys.stderr)
-        return 1
+    return RunError, CheckpointError, MissingPackageError
 
 
 def _complain(error: Exception) -> int:

@@ -10,25 +10,30 @@ from rich.table import Table
 
 from envs_jax.optional import MissingPackageError
 from hmasd_jax.analysis.curves import plot_runs
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs import metrics_log as logging
-from hmasd_jax.training.loop import Event
+from hmasd_jax.runs import metrics_log
+from hmasd_jax.runs.folder import metrics_path, seeds_of, write_json
+from hmasd_jax.training.job import Event
 
 LAST = 5
-"""Evaluations that the summary's main number is a mean of, to even out their noise."""
+"""Number of last evaluations that the summary averages, to even out their noise."""
 
 
 def write(run: Path, results: dict[int, Event]) -> None:
-    """Write RUN/summary.json from the metrics on disk."""
-    seeds = {str(index): summarize(run, index) for index in run_folder.seeds_of(run)}
+    """Write RUN/summary.json from the metrics on disk.
+
+    Args:
+        run: Folder of the run.
+        results: Last event of each seed.
+    """
+    seeds = {str(index): summarize(run, index) for index in seeds_of(run)}
     for index, event in results.items():
         seeds.setdefault(str(index), {}).update(status=event.kind, **event.data)
-    run_folder.write_json(run / "summary.json", {"seeds": seeds, "over_seeds": over_seeds(seeds)})
+    write_json(run / "summary.json", {"seeds": seeds, "over_seeds": over_seeds(seeds)})
 
 
 def summarize(run: Path, index: int) -> dict[str, Any]:
-    """Last evaluation of one seed, and means over its last few."""
-    records = logging.read(run_folder.metrics_path(run, index))
+    """Return the last evaluation of one seed and the mean of its last few; empty if it has none."""
+    records = metrics_log.read(metrics_path(run, index))
     evaluations = [record for record in records if record["kind"] == "eval"]
     if not evaluations:
         return {}
@@ -45,12 +50,12 @@ def summarize(run: Path, index: int) -> dict[str, Any]:
 
 
 def main_metric(evaluation: dict[str, Any]) -> str:
-    """What the task is judged by: success if it has one, else the return."""
+    """Return the metric that a task is judged by: success if it has one, else the return."""
     return "success" if "success" in evaluation else "return"
 
 
 def over_seeds(seeds: dict[str, Any]) -> dict[str, float]:
-    """Mean and (population) standard deviation over the seeds, as the paper gives them."""
+    """Return means and (population) standard deviations over seeds, which the paper reports."""
     known = [seed for seed in seeds.values() if "final" in seed]
     names = ("final", "last_evaluations") if known else ()
     values = {name: [seed[name] for seed in known] for name in names}
@@ -59,8 +64,8 @@ def over_seeds(seeds: dict[str, Any]) -> dict[str, float]:
 
 
 def table(run: Path) -> Table:
-    """One line per seed, and one over all."""
-    seeds = {index: summarize(run, index) for index in run_folder.seeds_of(run)}
+    """Return a table with one row per seed, and one over all seeds."""
+    seeds = {index: summarize(run, index) for index in seeds_of(run)}
     known = {index: seed for index, seed in seeds.items() if seed}
     metric = next(iter(known.values()))["metric"] if known else "success"
     result = Table("seed", "env steps", f"final {metric}", f"last {LAST} evaluations", "seconds")
@@ -81,8 +86,8 @@ def table(run: Path) -> Table:
 
 
 def plot(console: Console, run: Path) -> None:
-    """Write RUN/curves.png, or say what is missing for it."""
-    metrics = [s["metric"] for s in map(partial(summarize, run), run_folder.seeds_of(run)) if s]
+    """Write RUN/curves.png, or print which package is missing for it."""
+    metrics = [s["metric"] for s in map(partial(summarize, run), seeds_of(run)) if s]
     if not metrics:
         return
     try:

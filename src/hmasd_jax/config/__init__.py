@@ -1,4 +1,4 @@
-"""Configuration of a run: files and command lines into frozen dataclasses."""
+"""Configuration of a run: frozen dataclasses from files and command lines."""
 
 from hmasd_jax.config.train_config import (
     Layout,

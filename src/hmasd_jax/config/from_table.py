@@ -1,4 +1,7 @@
-"""Frozen dataclasses from tables of plain values: TOML files, JSON files and command lines."""
+"""The one type checker: plain values become frozen dataclasses.
+
+The values come from TOML files, JSON files and command lines.
+"""
 
 import dataclasses
 import tomllib
@@ -7,34 +10,36 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from hmasd_jax.validation import ConfigError, suggest
+from envs_jax.choices import suggest
+from hmasd_jax.validation import ConfigError
 
 T = TypeVar("T")
 NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
+"""Names of types in messages."""
 
 
 class Text(str):
-    """A value as typed on a command line: read as whatever type its field has."""
+    """A value typed on a command line; it is read as the type of its field."""
 
     __slots__ = ()
 
 
 class Flag(Text):
-    """A name typed without a value: true, where that is possible."""
+    """An option typed without a value; it means true for a bool and is refused elsewhere."""
 
     __slots__ = ()
 
 
 def from_table(cls: type[T], table: Any, path: str = "") -> T:
-    """Build dataclass `cls` from nested plain values.
+    """Build a dataclass from nested plain values.
 
     Args:
-        cls: a dataclass; fields may be dataclasses themselves.
-        table: values by field name; what is not given keeps its default.
-        path: where `table` stands, for messages, e.g. `algorithm.ppo`.
+        cls: Dataclass to build; its fields may be dataclasses themselves.
+        table: Values by field name. Missing fields keep their defaults.
+        path: Dotted name of `table` for messages, e.g. `algorithm.ppo`.
 
     Raises:
-        ConfigError: unknown key, wrong type, or a value that `cls` refuses.
+        ConfigError: A key is unknown or missing, a value has another type, or `cls` refuses it.
     """
     if not isinstance(table, Mapping):
         raise ConfigError(f"{path} must be a table of settings, got {table!r}")
@@ -57,10 +62,17 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
 
 
 def convert(value: Any, annotation: Any, path: str) -> Any:
-    """Check `value` against a field's type; whole floats pass as int, lists as tuples.
+    """Convert `value` to the type of a field.
+
+    An int passes as a float, a whole float as an int, and a list as a tuple. A `Text` is parsed.
+
+    Args:
+        value: Plain value from a file or a command line.
+        annotation: Type of the field.
+        path: Dotted name of the field for messages.
 
     Raises:
-        ConfigError: `value` is of another type.
+        ConfigError: `value` has another type.
     """
     if annotation is Any or isinstance(annotation, TypeVar):
         return value
@@ -70,13 +82,7 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
         return from_table(annotation, value, path)
     origin, options = get_origin(annotation), get_args(annotation)
     if origin is Literal:
-        plain = str(value) if isinstance(value, Text) else value
-        if plain not in options:
-            known = ", ".join(map(str, options))
-            raise ConfigError(
-                f"{path} must be one of {known}; got {plain!r}{suggest(plain, options)}"
-            )
-        return plain
+        return _convert_choice(value, options, path)
     if origin in (Union, types.UnionType):
         return _convert_union(value, options, path)
     if annotation is Path and isinstance(value, str):
@@ -84,7 +90,7 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
     was_typed = isinstance(value, Text)
     value = _parse(value) if annotation is not str else value
     if origin is tuple and was_typed and not isinstance(value, list):
-        value = [value]  # On a command line a list of one is written as that one.
+        value = [value]  # On a command line a list of one value is written as that value.
     if origin is tuple and isinstance(value, list | tuple):
         return tuple(convert(item, options[0], path) for item in value)
     if annotation is float and type(value) is int:
@@ -99,8 +105,17 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
     raise ConfigError(f"{path} must be {wanted}, got {value!r}")
 
 
+def _convert_choice(value: Any, choices: tuple, path: str) -> Any:
+    """Check `value` against the choices of a `Literal`."""
+    value = str(value) if isinstance(value, Text) else value
+    if value in choices:
+        return value
+    known = ", ".join(map(str, choices))
+    raise ConfigError(f"{path} must be one of {known}; got {value!r}{suggest(value, choices)}")
+
+
 def _convert_union(value: Any, options: tuple, path: str) -> Any:
-    """The first type that takes `value`; `none` is written for None."""
+    """Convert `value` to the first type that accepts it; the word `none` stands for None."""
     if (value is None or str(value).lower() == "none") and type(None) in options:
         return None
     options = tuple(option for option in options if option is not type(None))
@@ -113,7 +128,7 @@ def _convert_union(value: Any, options: tuple, path: str) -> Any:
 
 
 def _parse(value: Any) -> Any:
-    """The number, truth value or list that a `Text` spells, else the text."""
+    """Return the number, bool or list that a `Text` spells in TOML, else the text itself."""
     if not isinstance(value, Text):
         return value
     text = value.lower() if value.lower() in ("true", "false") else value

@@ -1,4 +1,4 @@
-"""Configuration of a run: TOML files and overrides into frozen dataclasses."""
+"""The configuration of a run, and how it is read, written and built."""
 
 import dataclasses
 import json
@@ -10,12 +10,13 @@ from typing import Any, Generic, Literal, TypeVar
 
 from envs_jax import Environment
 from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.choices import suggest
 from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.config.from_table import from_table
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.types import Algorithm
-from hmasd_jax.validation import ConfigError, check_range, suggest
+from hmasd_jax.validation import ConfigError, check_range
 
 EnvT = TypeVar("EnvT")
 AlgorithmT = TypeVar("AlgorithmT")
@@ -23,16 +24,16 @@ Layout = Literal["auto", "workers", "vmap", "map", "sharded"]
 DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 
 EXTENSIBLE = ("total_env_steps", "num_seeds", "layout")
-"""Settings of `TrainConfig` that may change when a run is continued: nothing trained depends on
+"""Settings of `TrainConfig` that may change when a run is resumed; no trained number depends on
 them."""
 
 
 @dataclass(frozen=True)
 class TrainConfig(Generic[EnvT, AlgorithmT]):
-    """One experiment; the defaults are the paper's HMASD on Alice_and_Bob (Tables 1 to 3).
+    """Settings of one experiment; defaults are the paper's HMASD on Alice_and_Bob (Tables 1 to 3).
 
     Raises:
-        ValueError: a number out of range, or fewer steps than one update takes.
+        ValueError: A number is out of range, or `total_env_steps` is less than one update.
     """
 
     env: EnvT = field(default_factory=AliceAndBob)  # pyrefly: ignore
@@ -42,24 +43,24 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     total_env_steps: int = 3_000_000
     """Environment steps per seed, rounded down to whole updates."""
     eval_interval: int = 80_000
-    """Environment steps between evaluations; there is also one at step 0 and one at the end."""
+    """Environment steps between evaluations. The first is at step 0, and one is at the end."""
     eval_episodes: int = 100
-    """Episodes per evaluation, all played by arg-max at both levels."""
+    """Episodes per evaluation. Skills and actions are the most probable ones (arg-max)."""
     log_interval: int = 16_000
-    """Environment steps that one line of training metrics is pooled over."""
+    """Environment steps over which each line of training metrics is pooled."""
     checkpoint_interval: int = 80_000
-    """Environment steps between checkpoints; there is also one at the end."""
+    """Environment steps between checkpoints. One is saved at the end, too."""
     keep_checkpoints: int = 3
-    """Newest checkpoints that stay on disk, per seed."""
+    """Number of newest checkpoints kept on disk, per seed."""
     seed: int = 0
-    """Seed of the experiment; training run i of a sweep uses `fold_in(key(seed), i)`."""
+    """Seed of the experiment. Training run i of a sweep uses `fold_in(key(seed), i)`."""
     num_seeds: int = 5
-    """Training runs of a sweep; `train` runs one of them."""
+    """Number of training runs of a sweep; `train` runs one of them."""
     layout: Layout = "auto"
-    """How a sweep computes its seeds: `workers`, one single-threaded process per core; `vmap`, all
-    at once in one program; `map`, one after the other in one program; `sharded`, over all devices.
-    `auto` takes `workers` on a CPU, `vmap` on one accelerator, `sharded` on several. The files are
-    the same."""
+    """Layout of a sweep's seeds on the hardware: `workers`, one single-threaded process per core;
+    `vmap`, all at once in one program; `map`, one after the other in one program; `sharded`, over
+    all devices. `auto` chooses `workers` on a CPU, `vmap` on one accelerator and `sharded` on
+    several. The layout does not change the files of a run."""
 
     def __post_init__(self) -> None:
         intervals = ("eval_interval", "log_interval", "checkpoint_interval")
@@ -76,7 +77,7 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
 
     @property
     def env_steps_per_update(self) -> int:
-        """Environment steps of one rollout over all environment copies."""
+        """Environment steps per update: one rollout of all environment copies."""
         ppo = self.algorithm.ppo  # pyrefly: ignore
         return ppo.num_envs * ppo.rollout_length
 
@@ -85,22 +86,30 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
     """Read a configuration.
 
     Args:
-        path: a .toml file, a run's config.json, or None for the defaults.
-        overrides: values by dotted name, e.g. `{"algorithm.ppo.num_envs": 8}`; they win over the
-            file. With another `env.name` or `algorithm.name` than the file's, that table of the
-            file is left out.
+        path: A .toml file, a run's config.json, or None for the defaults.
+        overrides: Values by dotted name, e.g. `{"algorithm.ppo.num_envs": 8}`. They win over the
+            file. An `env.name` or `algorithm.name` that differs from the file's discards that
+            table of the file.
 
     Raises:
-        ConfigError: file not readable, unknown key or name, wrong type, or value out of range.
+        ConfigError: The file cannot be read, a key or name is unknown, or a value has the wrong
+            type or is out of range.
     """
     return from_json(override(_read(Path(path)) if path is not None else {}, overrides or {}))
 
 
 def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Put values by dotted name into nested tables; with another name, a section begins anew.
+    """Put values by dotted name into nested tables, in place.
+
+    A new `env.name` or `algorithm.name` clears that table first, because its settings belong to
+    another class.
+
+    Args:
+        table: Nested tables as in a file; it is changed and returned.
+        overrides: Values by dotted name.
 
     Raises:
-        ConfigError: a name leads through something that is not a table.
+        ConfigError: A dotted name passes through a value that is not a table.
     """
     for section in ("env", "algorithm"):
         name = overrides.get(f"{section}.name")
@@ -120,10 +129,10 @@ def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
 
 
 def from_json(table: Mapping[str, Any]) -> TrainConfig:
-    """The configuration that nested plain values describe; inverse of `to_json`.
+    """Build the configuration that nested plain values describe; the inverse of `to_json`.
 
     Raises:
-        ConfigError: unknown key or name, wrong type, or value out of range.
+        ConfigError: A key or name is unknown, or a value has the wrong type or is out of range.
     """
     env, algorithm = _section(table, "env"), _section(table, "algorithm")
     env_type = _find(env.pop("name", DEFAULT_NAMES["env"]), ENVIRONMENTS, "env.name")
@@ -137,17 +146,17 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
 
 
 def to_json(config: TrainConfig) -> dict[str, Any]:
-    """Nested plain values of JSON types, names of environment and algorithm included."""
+    """Return a configuration as nested JSON values, with names of environment and algorithm."""
     table = dataclasses.asdict(config)
     env_name = _name_of(type(config.env), ENVIRONMENTS)
     configs = {name: entry.config for name, entry in ALGORITHMS.items()}
     table["env"] = {"name": env_name, **table["env"]}
     table["algorithm"] = {"name": _name_of(type(config.algorithm), configs), **table["algorithm"]}
-    return json.loads(json.dumps(table))  # tuples become lists, as on disk
+    return json.loads(json.dumps(table))  # Tuples become lists, as on disk.
 
 
 def identity(table: dict[str, Any]) -> dict[str, Any]:
-    """By dotted name, all settings that must stay when a run is continued: not `EXTENSIBLE`."""
+    """Return by dotted name the settings that resuming must not change: all but `EXTENSIBLE`."""
     return {name: value for name, value in _flatten(table).items() if name not in EXTENSIBLE}
 
 
@@ -162,7 +171,12 @@ def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
-    """The environment and the algorithm that `config` describes."""
+    """Build the environment and the algorithm that `config` describes.
+
+    Raises:
+        ConfigError: The algorithm's settings are of an unregistered class, or do not fit the
+            environment.
+    """
     for entry in ALGORITHMS.values():
         if entry.config is type(config.algorithm):
             return config.env, entry.make(config.env, config.algorithm)
@@ -170,18 +184,18 @@ def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """The tables of a .toml or .json file."""
+    """Read the tables of a .toml or .json file."""
     try:
         text = path.read_text()
         return json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
     except OSError as error:
         raise ConfigError(f"cannot read config file {path}: {error.strerror}") from error
-    except ValueError as error:  # both parsers say line and column
+    except ValueError as error:  # Both parsers give line and column.
         raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
 
 
 def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """A copy of the table called `name`."""
+    """Return a copy of the table `name`."""
     section = table.get(name, {})
     if not isinstance(section, Mapping):
         raise ConfigError(
@@ -197,7 +211,7 @@ def _find(name: Any, registry: Mapping[str, Any], path: str) -> Any:
 
 
 def _name_of(cls: type, registry: Mapping[str, type]) -> str:
-    """The name under which `cls` is registered."""
+    """Return the name under which `cls` is registered."""
     for name, registered in registry.items():
         if registered is cls:
             return name
