@@ -1,9 +1,10 @@
-"""The code on the pages under docs/ runs, block after block, as a reader would type it.
+"""The pages of the project are true: code runs, links lead somewhere, and names exist.
 
-A block that begins with "python needs PACKAGE" is left out where that package is not installed.
+A code block that begins with "python needs PACKAGE" is skipped where that package is not installed.
 """
 
 import importlib.util
+import pydoc
 import re
 from pathlib import Path
 
@@ -11,16 +12,32 @@ import pytest
 
 from envs_jax import registry
 
-DOCS = Path(__file__).parents[2] / "docs"
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
 BLOCK = re.compile(r"^```python(?: needs (\w+))?\n(.*?)^```$", re.DOTALL | re.MULTILINE)
-PAGES = [page for page in sorted(DOCS.rglob("*.md")) if BLOCK.search(page.read_text())]
+ANY_BLOCK = re.compile(r"^ *```.*?^ *```$", re.DOTALL | re.MULTILINE)
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+NAME = re.compile(r"`((?:hmasd_jax|envs_jax)(?:\.\w+)+)`")
+FOLDERS = "benchmarks|configs|docs|envs_jax|results|scripts|src|tests"
+PATH = re.compile(rf"`((?:{FOLDERS})/[\w./*{{}},-]*)`")
+HISTORY = {"CHANGELOG.md"}
+"""Pages that name what is gone."""
+
+
+def _name(page):
+    return str(page.relative_to(ROOT))
+
+
+def _with_code():
+    return [page for page in PAGES if page.is_relative_to(DOCS) and BLOCK.search(page.read_text())]
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:jaxmarl")
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+@pytest.mark.parametrize("page", _with_code(), ids=_name)
 def test_code_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    # What a page registers is forgotten afterwards.
+    # The environments that a page registers are forgotten afterwards.
     monkeypatch.setattr(registry, "ENVIRONMENTS", dict(registry.ENVIRONMENTS))
     text = page.read_text()
     namespace = {"__name__": page.stem}
@@ -38,4 +55,52 @@ def test_code_blocks_run(page, tmp_path, monkeypatch):
 
 
 def test_pages_have_code():
-    assert {page.stem for page in PAGES} >= {"new_algorithm", "new_environment"}
+    names = {_name(page) for page in _with_code()}
+    guides = {f"docs/guides/{stem}.md" for stem in ("adapters", "new_algorithm", "new_environment")}
+    tasks = ("alice_and_bob", "overcooked", "micro_battle")
+    assert names >= guides | {f"docs/environments/{task}.md" for task in tasks}
+
+
+def _anchors(page):
+    """Return the anchors that GitHub gives to the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", ANY_BLOCK.sub("", page.read_text()), re.MULTILINE)
+    words = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
+    return {heading.strip().replace(" ", "-") for heading in words}
+
+
+def _broken_links(page):
+    broken = []
+    for link in LINK.findall(ANY_BLOCK.sub("", page.read_text())):
+        if re.match(r"\w+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        if not target.exists() or (anchor and anchor not in _anchors(target)):
+            broken.append(link)
+    return broken
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_name)
+def test_links_lead_somewhere(page):
+    assert not _broken_links(page)
+
+
+def test_broken_links_are_found(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("# A page\n[a](page.md#a-page) [b](https://b.org) [c](c.md) ![d](#d)\n")
+    assert _broken_links(page) == ["c.md", "#d"]
+
+
+def _exists(path):
+    """Return whether a path of the repository, which may hold * or {a,b}, stands for a file."""
+    choice = re.search(r"{([\w,]+)}", path)
+    if choice:
+        return all(_exists(path.replace(choice[0], part, 1)) for part in choice[1].split(","))
+    return any(ROOT.glob(path)) if "TASK" not in path else True
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name not in HISTORY], ids=_name)
+def test_names_and_paths_exist(page):
+    text = ANY_BLOCK.sub("", page.read_text())
+    assert not [name for name in NAME.findall(text) if pydoc.locate(name) is None]
+    assert not [path for path in PATH.findall(text) if not _exists(path)]
