@@ -8,16 +8,14 @@ import pytest
 
 import hmasd_jax
 from envs_jax.alice_and_bob import AliceAndBob
-from hmasd_jax import config as configs
-from hmasd_jax.config import TrainConfig
+from hmasd_jax.config import TrainConfig, build, to_json
 from hmasd_jax.hmasd import HMASDConfig
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.rl.evaluate import evaluate, play
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint
-from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.checkpoint import CheckpointError
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.folder import RunError, checkpoint_folder, create, seed_folder
 from hmasd_jax.runs.load import load_policy, load_run
 
 PPO = PPOConfig(hidden_size=8, num_envs=2, rollout_length=20, num_epochs=1)
@@ -29,7 +27,7 @@ CONFIG = TrainConfig(
 
 @pytest.fixture(scope="module")
 def states():
-    _, algorithm = configs.build(CONFIG)
+    _, algorithm = build(CONFIG)
     init = jax.jit(algorithm.init)
     return {step: init(jax.random.key(step)) for step in (40, 80)}
 
@@ -38,11 +36,11 @@ def states():
 def run(states, tmp_path_factory):
     """A run of two seeds: one with checkpoints at 40 and 80, one that has just begun."""
     run = tmp_path_factory.mktemp("runs") / "run"
-    run_folder.create(run, CONFIG, ["test"])
+    create(run, CONFIG, ["test"])
     for step, state in states.items():
-        folder = run_folder.checkpoint_folder(run, 0)
-        checkpoint.save(folder, step, state, configs.to_json(CONFIG), 2)
-    run_folder.seed_folder(run, 1).mkdir()
+        folder = checkpoint_folder(run, 0)
+        checkpoint.save(folder, step, state, to_json(CONFIG), 2)
+    seed_folder(run, 1).mkdir()
     return run
 
 
@@ -66,7 +64,7 @@ def test_loads_the_newest_checkpoint(run, states):
 
 
 def test_policy_evaluates_as_the_state_it_was_saved_from(run, states):
-    env, algorithm = configs.build(CONFIG)
+    env, algorithm = build(CONFIG)
     key = jax.random.key(3)
     loaded = jax.jit(lambda key: evaluate(env, load_policy(run, step=40), key, 4))(key)
     expected = jax.jit(lambda key: evaluate(env, algorithm.policy(states[40]), key, 4))(key)

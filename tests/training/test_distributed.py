@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from hmasd_jax.cli.main import main
-from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs.folder import available_cores, seeds_of
 from hmasd_jax.training.distributed import share_of_cores
 from tests.helpers import toy
 from tests.helpers.toy import numbers, words
@@ -50,15 +50,16 @@ def sweep():
         process.kill()
 
 
-def test_two_processes_share_the_seeds_and_make_one_run(sweep, tmp_path):
+@pytest.mark.parametrize("layout", ["workers", "vmap"])
+def test_two_processes_share_the_seeds_and_make_one_run(layout, sweep, tmp_path):
     run = tmp_path / "run"
-    codes, ((out, err), (quiet, _)) = sweep(run, *WORDS)
+    codes, ((out, err), (quiet, _)) = sweep(run, *WORDS, "--layout", layout)
     assert codes == [0, 0], err
-    assert run_folder.seeds_of(run) == [0, 1, 2]
+    assert seeds_of(run) == [0, 1, 2]
     assert "2 processes (this one trains and shows 0, 2)" in out
     assert "seed" not in quiet  # gloo says that it is connected
     # Each has half of the cores that both were started on.
-    cores = (len(run_folder.available_cores()) + 1) // 2
+    cores = (len(available_cores()) + 1) // 2
     assert json.loads((run / "run.json").read_text())["cores"] == cores
     # The first process sums up what both did, and leaves no notes behind.
     summary = json.loads((run / "summary.json").read_text())

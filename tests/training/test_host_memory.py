@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from hmasd_jax.training import host_memory as memory
+from hmasd_jax.training import host_memory
 
 FAULTS = """
 import resource
 import numpy as np
-from hmasd_jax.training import host_memory as memory
+from hmasd_jax.training import host_memory
 
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
@@ -18,7 +18,7 @@ def faults():
     return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 usual = faults(), faults()
-memory.keep_freed()
+host_memory.keep_freed()
 print(*usual, faults(), faults())
 """
 
@@ -27,14 +27,14 @@ print(*usual, faults(), faults())
     ("free", "size"), [(math.inf, 10), (1000, 10), (999, 5), (499, 4), (150, 1), (1, 1)]
 )
 def test_seeds_are_dealt_into_even_batches_that_fit(free, size, monkeypatch):
-    monkeypatch.setattr(memory, "available_bytes", lambda: free)
-    assert memory.seeds_at_once(10, lambda n: 100 * n) == size
+    monkeypatch.setattr(host_memory, "available_bytes", lambda: free)
+    assert host_memory.seeds_at_once(10, lambda n: 100 * n) == size
 
 
 def test_workers_are_no_more_than_fit_into_memory(monkeypatch):
-    for free, expected in ((math.inf, 8), (5 * memory.WORKER_BYTES, 5), (1, 1)):
-        monkeypatch.setattr(memory, "available_host_bytes", lambda free=free: free)
-        assert memory.workers_at_once(8) == expected
+    for free, expected in ((math.inf, 8), (5 * host_memory.WORKER_BYTES, 5), (1, 1)):
+        monkeypatch.setattr(host_memory, "available_host_bytes", lambda free=free: free)
+        assert host_memory.workers_at_once(8) == expected
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only GNU's C library can")

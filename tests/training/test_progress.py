@@ -2,7 +2,7 @@ import io
 
 from rich.console import Console
 
-from hmasd_jax.training.loop import Event
+from hmasd_jax.training.job import Event
 from hmasd_jax.training.progress import PLAIN_SECONDS, Display, clock
 
 METRICS = {
@@ -15,7 +15,7 @@ METRICS = {
 
 
 def show(events, terminal):
-    """What a display of seeds 0 and 1, 1000 env steps each, writes."""
+    """Return the output of a display of seeds 0 and 1 with 1000 env steps each."""
     file = io.StringIO()
     console = Console(file=file, force_terminal=terminal, width=200)
     with Display(console, [0, 1], 1000) as display:

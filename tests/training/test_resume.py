@@ -1,4 +1,4 @@
-"""Interrupted in any way and continued, a run is the run that was never interrupted."""
+"""A run that is interrupted in any way and resumed equals an uninterrupted one."""
 
 import errno
 import json
@@ -13,15 +13,14 @@ import jax
 import numpy as np
 import pytest
 
-from hmasd_jax import config as configs
 from hmasd_jax.cli.main import main
-from hmasd_jax.runs import checkpoint
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.config import build, load
+from hmasd_jax.runs import checkpoint, metrics_log
 from hmasd_jax.runs.checkpoint import CheckpointError
-from hmasd_jax.runs.folder import metrics_path
+from hmasd_jax.runs.folder import available_cores, checkpoint_folder, create, metrics_path
 from hmasd_jax.runs.load import load_run
-from hmasd_jax.training.loop import Job, train_seeds
+from hmasd_jax.training.job import Job
+from hmasd_jax.training.loop import train_seeds
 from tests.helpers import toy
 from tests.helpers.toy import SETTINGS, numbers, words
 
@@ -55,7 +54,7 @@ def wait_until(condition, process, seconds=120):
 
 
 def latest(run, seed):
-    return checkpoint.latest_step(run_folder.checkpoint_folder(run, seed)) or 0
+    return checkpoint.latest_step(checkpoint_folder(run, seed)) or 0
 
 
 def assert_same_state(one, other):
@@ -67,7 +66,7 @@ def assert_same_state(one, other):
 
 
 def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
-    """kill -9 soon after a checkpoint has appeared: the next moments are full of writes."""
+    """Send SIGKILL soon after a checkpoint has appeared, when there are many writes."""
     total = 80 * 25
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     assert main(["train", "--run-dir", str(whole), *words(total_env_steps=total)]) == 0
@@ -91,8 +90,8 @@ def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
 
 
 def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
-    """4 updates in one go against 2, all memory of them lost but the files, and 2 more."""
-    config = configs.load(
+    """Compare 4 updates with 2, of which only the files remain, and 2 more."""
+    config = load(
         None,
         {
             "total_env_steps": 160,
@@ -113,12 +112,12 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
 
     def train(run, updates):
         stops = iter([False] * updates + [True])
-        job = Job(run, config, (), lambda event: None, lambda: next(stops))
+        job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops))
         return train_seeds(job, [0])[0].kind
 
     one, two = tmp_path / "one", tmp_path / "two"
     for run in (one, two):
-        run_folder.create(run, config, [])
+        create(run, config, [])
     assert train(one, 4) == "finished"
     assert train(two, 2) == "interrupted"
     assert latest(two, 0) == 80
@@ -129,17 +128,17 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
 
 
 def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
-    """Seeds that stand at different steps go on in a group each."""
-    config = configs.load(None, SETTINGS | {"total_env_steps": 160})
+    """Resume seeds from different steps, each step in its own group."""
+    config = load(None, SETTINGS | {"total_env_steps": 160})
 
     def train(run, seeds, stops):
         stops = iter(stops)
-        job = Job(run, config, (), lambda event: None, lambda: next(stops, False))
+        job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops, False))
         return {seed: event.kind for seed, event in train_seeds(job, seeds).items()}
 
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     for run in (whole, parts):
-        run_folder.create(run, config, [])
+        create(run, config, [])
     assert set(train(whole, [0, 1, 2], []).values()) == {"finished"}
     # Asked before every stretch of 40 env steps: the third time for 0 and 1, the second for 2.
     assert set(train(parts, [0, 1], [False, False, True]).values()) == {"interrupted"}
@@ -166,7 +165,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
 
 
-@pytest.mark.skipif(len(run_folder.available_cores()) < 2, reason="two workers need two cores")
+@pytest.mark.skipif(len(available_cores()) < 2, reason="two workers need two cores")
 def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     run = tmp_path / "run"
     process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=2))
@@ -244,12 +243,9 @@ def test_a_finished_run_can_be_trained_further_and_with_more_seeds(finished, tmp
 
 
 def test_metrics_after_the_checkpoint_are_dropped(finished):
-    """What a kill leaves behind: lines of updates that were not saved, the last cut short."""
+    """Drop the lines that a kill leaves: those of unsaved updates, and an incomplete one."""
     before = numbers(finished, 0)
-    folder = run_folder.checkpoint_folder(finished, 0)
-    for step in checkpoint.steps(folder):
-        if step > 80:
-            subprocess.run(["rm", "-r", str(folder / str(step))], check=True)
+    checkpoint.checkpoint_path(checkpoint_folder(finished, 0), 160).unlink()
     with metrics_path(finished, 0).open("a") as file:
         file.write('{"kind": "train", "env_steps": 200}\n{"kind": "tra')
     assert main(["train", "--run-dir", str(finished), "--resume"]) == 0
@@ -257,11 +253,9 @@ def test_metrics_after_the_checkpoint_are_dropped(finished):
 
 
 def test_a_damaged_checkpoint_is_told_with_the_remedy(finished, capsys):
-    folder = run_folder.checkpoint_folder(finished, 0)
-    subprocess.run(["rm", "-r", str(folder / "160")], check=True)
-    for path in (folder / "80" / "state").rglob("*"):
-        if path.is_file():
-            path.write_bytes(b"")
+    folder = checkpoint_folder(finished, 0)
+    (folder / "160.npz").unlink()
+    (folder / "80.npz").write_bytes(b"")
     assert main(["train", "--run-dir", str(finished), "--resume"]) == 1
     text = capsys.readouterr().out
     assert "seed 0 failed: " in text
@@ -283,14 +277,14 @@ def test_a_full_disk_ends_the_run_and_leaves_it_usable(where, tmp_path, capsys, 
 
             patch.setattr(checkpoint, "save", fail)
         else:
-            write = logging.JsonLines.write
+            write = metrics_log.JsonLines.write
 
             def fail(self, record):
                 if record["env_steps"] > 80:
                     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
                 write(self, record)
 
-            patch.setattr(logging.JsonLines, "write", fail)
+            patch.setattr(metrics_log.JsonLines, "write", fail)
         assert main(["train", "--run-dir", str(run), *words(total_env_steps=160)]) == 1
     text = capsys.readouterr().out
     reason = "the disk is full" if where == "checkpoint" else "No space left on device"

@@ -1,8 +1,11 @@
-"""Runs on one task side by side: curves, and statistics over seeds with 95 % intervals.
+"""Comparison of runs on one task: curves, and statistics over seeds with 95 % intervals.
 
-After Agarwal et al., `Deep Reinforcement Learning at the Edge of the Statistical Precipice
-<https://arxiv.org/abs/2108.13264>`_, 2021: interquartile means, bootstrap intervals that draw seeds
-anew, and the probability that a seed of one algorithm does better than one of another.
+The statistics are interquartile means, bootstrap intervals over seeds, and the probability that a
+seed of one algorithm does better than a seed of another.
+
+References:
+    Agarwal et al., `Deep Reinforcement Learning at the Edge of the Statistical Precipice
+    <https://arxiv.org/abs/2108.13264>`_, 2021
 """
 
 import json
@@ -30,22 +33,27 @@ from hmasd_jax.runs.folder import RunError
 
 
 class Comparison(NamedTuple):
-    """What several runs reached on one task."""
+    """Results of several runs on one task."""
 
     task: str
+    """Name of the environment."""
     metric: str
+    """Name of the metric in the evaluations."""
     labels: list[str]
+    """One label per run."""
     curves: list[list[Curve]]
-    """Per run, one per seed."""
+    """For each run, one curve per seed."""
     env_steps: int
-    """Where all seeds of all runs were evaluated last: what the scores are taken at."""
+    """Last step at which all seeds of all runs were evaluated. The scores are taken there."""
     scores: list[Array]
-    """Per run, one per seed: the mean of its last evaluations up to `env_steps`."""
+    """For each run, one score per seed: the mean of its last evaluations up to `env_steps`."""
     last: int
+    """Number of evaluations in a score."""
     solved_at: float
+    """Lowest score of a seed that has solved the task."""
 
     def draw(self, out: Path) -> Path:
-        """Draw the curves with their intervals; returns `out`."""
+        """Draw the curves with their intervals and return `out`."""
         require("matplotlib", "plots", "plotting")
         return draw_groups(list(zip(self.labels, self.curves)), self.task, self.metric, out)
 
@@ -56,13 +64,14 @@ def compare_runs(
     """Read the evaluations of runs on one task.
 
     Args:
-        runs: folders of runs, finished or not.
-        metric: name in the evaluations, e.g. `success` or `return`.
-        last: evaluations that a seed's score is the mean of.
-        solved_at: score from which on a seed counts as one that learned.
+        runs: Folders of runs, finished or not.
+        metric: Name in the evaluations, e.g. `success` or `return`.
+        last: Number of evaluations to average for a seed's score.
+        solved_at: Lowest score of a seed that has solved the task.
 
     Raises:
-        RunError: a folder is not one of a run, the tasks differ, or there are too few evaluations.
+        RunError: A folder is not the folder of a run, the tasks differ, or there are too few
+            evaluations.
     """
     runs = [Path(run) for run in runs]
     curves = [read_evaluations(run, metric) for run in runs]
@@ -76,7 +85,7 @@ def compare_runs(
     if len(steps) < last:
         raise RunError(
             f"the seeds of these runs have {len(steps)} evaluations of {metric} in common, and "
-            f"the last {last} are to be compared: wait for more, or ask for fewer with --last"
+            f"a score needs {last}: wait for more, or ask for fewer with --last"
         )
     scores = []
     for seeds in curves:
@@ -88,9 +97,9 @@ def compare_runs(
 
 
 def tables(comparison: Comparison) -> list[Table]:
-    """The statistics as tables: of each run, and of each pair of runs."""
+    """Return the statistics as tables: one of the runs, and one of the pairs of runs."""
     labels, scores = comparison.labels, comparison.scores
-    of_each = Table(
+    per_run = Table(
         "run", "seeds", "interquartile mean", "mean", f"seeds ≥ {comparison.solved_at:g}",
         title=f"{comparison.task}: {comparison.metric} of the last {comparison.last} evaluations "
         f"up to {comparison.env_steps:,} env steps; 95 % intervals",
@@ -101,16 +110,16 @@ def tables(comparison: Comparison) -> list[Table]:
             for mean in (interquartile_mean, np.mean)
         )
         solved = estimate_fraction(own, comparison.solved_at)
-        of_each.add_row(label, str(len(own)), *map(_write, means), _write(solved))
+        per_run.add_row(label, str(len(own)), *map(_write, means), _write(solved))
     if len(scores) < 2:
-        return [of_each]
-    of_pairs = Table("", "", "probability", title="Probability that a seed of the first is better")
+        return [per_run]
+    per_pair = Table("", "", "probability", title="Probability that a seed of the first is better")
     for first, second in combinations(range(len(scores)), 2):
         better = estimate(
             [scores[first], scores[second]], lambda groups: probability_of_improvement(*groups)
         )
-        of_pairs.add_row(labels[first], labels[second], _write(better))
-    return [of_each, of_pairs]
+        per_pair.add_row(labels[first], labels[second], _write(better))
+    return [per_run, per_pair]
 
 
 def _write(estimate: Estimate) -> str:

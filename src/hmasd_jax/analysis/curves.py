@@ -1,6 +1,6 @@
 """Learning curves over seeds, from run folders and from recorded results.
 
-Every curve is the mean over seeds with its 95 % bootstrap interval; thin lines are the seeds.
+Each curve is the mean over seeds with its 95 % bootstrap interval. Thin lines show the seeds.
 """
 
 import json
@@ -21,9 +21,8 @@ from hmasd_jax.analysis.figures import (
     new_figure,
     save,
 )
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs import metrics_log as logging
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs import metrics_log
+from hmasd_jax.runs.folder import RunError, metrics_path, read_config, seeds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,10 +37,12 @@ STYLES: dict[str, Literal["-", "--"]] = {"team": "-", "individual": "--"}
 
 
 class Reference(NamedTuple):
-    """Numbers of somebody else to draw beside a result."""
+    """Published numbers to draw beside a result."""
 
     label: str
+    """Name in the legend."""
     env_steps: Sequence[float]
+    """Environment steps of the values."""
     values: Sequence[float]
     """Mean over seeds at each of `env_steps`."""
     final: tuple[float, float] | None = None
@@ -49,20 +50,22 @@ class Reference(NamedTuple):
 
 
 def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
-    """Draw the evaluations of one or more runs, finished or not, and how skills separated.
+    """Draw the evaluations of one or more runs, finished or not.
+
+    Runs with skills also get panels of skill entropies and discriminator accuracies.
 
     Args:
-        runs: folders; each becomes one curve over its seeds.
-        out: image to write; the suffix is its format.
-        metric: name in the evaluations, e.g. `success`, `return` or `length`.
+        runs: Folders of runs. Each becomes one curve over its seeds.
+        out: Image to write. Its suffix selects the format.
+        metric: Name in the evaluations, e.g. `success`, `return` or `length`.
 
     Returns:
         `out`.
 
     Raises:
         MissingPackageError: matplotlib is not installed.
-        RunError: a folder is not one of a run, or has no evaluation of that name yet, or `out`
-            cannot be written.
+        RunError: A folder is not the folder of a run or has no such evaluation yet, or `out` cannot
+            be written.
     """
     require("matplotlib", "plots", "plotting")
     runs = [Path(run) for run in runs]
@@ -90,8 +93,8 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     Args:
         result: JSON file with `metric`, `env_steps` (evaluations) and `values`
             (seeds, evaluations).
-        out: image to write; the suffix is its format.
-        reference: numbers to draw beside it, in the units of the metric.
+        out: Image to write. Its suffix selects the format.
+        reference: Numbers to draw beside it, in the units of the metric.
 
     Returns:
         `out`.
@@ -112,7 +115,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
 
 
 def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
-    """Name and evaluations of a recorded result, one curve per seed."""
+    """Return the label and the curves of a recorded result, one curve per seed."""
     record = json.loads(Path(result).read_text())
     steps = np.asarray(record["env_steps"], float)
     curves = [(steps, np.asarray(values, float)) for values in record["values"]]
@@ -121,10 +124,10 @@ def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
 
 
 def read_evaluations(run: Path, metric: str) -> list[Curve]:
-    """One curve of evaluations per seed.
+    """Read the evaluations of a run, one curve per seed.
 
     Raises:
-        RunError: not the folder of a run, or it has no evaluation of that name yet.
+        RunError: `run` is not the folder of a run, or has no evaluation of that name yet.
     """
     curves = read_curves(run, "eval", metric)
     if not curves:
@@ -133,11 +136,20 @@ def read_evaluations(run: Path, metric: str) -> list[Curve]:
 
 
 def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
-    """One curve per seed that has any record of the metric; `kind` is `train` or `eval`."""
-    run_folder.read_config(run)  # for its error where there is no run
+    """Read one curve per seed that has a record of the metric.
+
+    Args:
+        run: Folder of the run.
+        kind: Kind of the records, `train` or `eval`.
+        metric: Name in the records.
+
+    Raises:
+        RunError: `run` is not the folder of a run.
+    """
+    read_config(run)  # raises the error
     curves = []
-    for seed in run_folder.seeds_of(run):
-        records = logging.read(run_folder.metrics_path(run, seed))
+    for seed in seeds_of(run):
+        records = metrics_log.read(metrics_path(run, seed))
         points = [
             (record["env_steps"], record[metric])
             for record in records
@@ -150,10 +162,10 @@ def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
 
 
 def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[Curve, str, str]]]:
-    """Title and (curve, line style, color) of each side panel: means over seeds.
+    """Return the title and the lines (curve, style, color) of each side panel.
 
-    Entropies are divided by those of uniform choice, so that all lie in [0, 1]. A level with a
-    single skill has nothing to show.
+    Curves are means over seeds. Entropies are divided by the entropy of a uniform choice, so that
+    they lie in [0, 1]. Levels with a single skill are left out.
     """
     panels = {"skill entropy / uniform": ENTROPIES, "discriminator accuracy": ACCURACIES}
     found: dict[str, list[tuple[Curve, str, str]]] = {title: [] for title in panels}
@@ -171,7 +183,7 @@ def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[C
 
 
 def _draw_reference(axes: "Axes", reference: Reference, end: float, percent: bool) -> None:
-    """Points of the reference's curve, and its final mean with standard deviation at `end`."""
+    """Draw the curve of a reference, and its final mean and standard deviation at `end`."""
     color = "#333333"
     axes.plot(
         reference.env_steps, reference.values, "s:", color=color, markersize=5, linewidth=1,
@@ -187,7 +199,7 @@ def _draw_reference(axes: "Axes", reference: Reference, end: float, percent: boo
 
 
 def _explain_styles(axes: "Axes") -> None:
-    """What solid and dashed lines are."""
+    """Add a legend for solid and dashed lines."""
     from matplotlib.lines import Line2D
 
     lines = [Line2D([], [], color="#444444", linestyle=s, label=k) for k, s in STYLES.items()]
@@ -195,18 +207,18 @@ def _explain_styles(axes: "Axes") -> None:
 
 
 def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
-    """Names of the algorithms if they tell the runs apart, else names of the folders."""
+    """Return one label per run: the algorithm if all differ, else the name of the folder."""
     names = [table["algorithm"]["name"] for table in tables]
     if len(set(names)) < len(names):
         names = [run.resolve().name for run in runs]
-    counts = [len(run_folder.seeds_of(run)) for run in runs]
+    counts = [len(seeds_of(run)) for run in runs]
     return [f"{name} ({n} seed{'s' * (n > 1)})" for name, n in zip(names, counts)]
 
 
 def _known_metrics(run: Path) -> str:
-    """What could be plotted instead."""
-    for seed in run_folder.seeds_of(run):
-        for record in logging.read(run_folder.metrics_path(run, seed)):
+    """Return a text that names the metrics of the run's evaluations."""
+    for seed in seeds_of(run):
+        for record in metrics_log.read(metrics_path(run, seed)):
             if record["kind"] == "eval":
-                return f"there are {', '.join(sorted(set(record) - logging.NOT_METRICS))}"
+                return f"there are {', '.join(sorted(set(record) - metrics_log.NOT_METRICS))}"
     return "wait for its first one"

@@ -1,4 +1,4 @@
-"""Figures of learning curves: what `plot` and `compare` draw with."""
+"""Figures of learning curves, for `plot` and `compare`."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
-"""Told apart by color-blind readers as well (Okabe and Ito)."""
+"""Colors that color-blind readers can tell apart (Okabe and Ito)."""
 
 Curve = tuple[Array, Array]
-"""Environment steps, and a value at each."""
+"""Environment steps (n,) and values (n,)."""
 
 
 def common_steps(curves: Sequence[Curve]) -> tuple[Array, Array]:
-    """The environment steps (n,) that all seeds have reached, and values (seeds, n) there."""
+    """Return the steps (n,) that all seeds have in common, and their values (seeds, n)."""
     steps = curves[0][0]
     for others, _ in curves[1:]:
         steps = np.intersect1d(steps, others)
@@ -29,12 +29,12 @@ def common_steps(curves: Sequence[Curve]) -> tuple[Array, Array]:
 
 
 def colors(count: int) -> list[str]:
-    """One per curve, again from the first if there are not enough."""
+    """Return one color per curve, repeating them if there are not enough."""
     return [COLORS[i % len(COLORS)] for i in range(count)]
 
 
 def new_figure(panels: bool) -> tuple["Figure", "Axes", list["Axes"]]:
-    """A wide panel, and two small ones stacked beside it if asked for."""
+    """Create a figure with a wide panel and, if `panels`, two small ones beside it."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10.0 if panels else 6.4, 4.2), dpi=150, layout="constrained")
@@ -46,7 +46,7 @@ def new_figure(panels: bool) -> tuple["Figure", "Axes", list["Axes"]]:
 
 
 def draw_curves(axes: "Axes", curves: Sequence[Curve], label: str, color: str) -> None:
-    """Mean, interval of the mean, and all seeds."""
+    """Draw the mean over seeds, its interval, and a thin line per seed."""
     for own, values in curves:
         axes.plot(own, values, color=color, linewidth=0.7, alpha=0.35)
     steps, values = common_steps(curves)
@@ -58,7 +58,7 @@ def draw_curves(axes: "Axes", curves: Sequence[Curve], label: str, color: str) -
 def draw_groups(
     groups: Sequence[tuple[str, Sequence[Curve]]], title: str, metric: str, out: Path
 ) -> Path:
-    """Draw groups of curves, each under its label and in its color, into one panel.
+    """Draw groups of curves into one panel, each with its own label and color.
 
     Raises:
         RunError: `out` cannot be written.
@@ -71,7 +71,7 @@ def draw_groups(
 
 
 def finish(axes: "Axes", title: str, metric: str | None, legend: bool = False) -> None:
-    """Titles, units and quiet decoration; fractions are shown in percent."""
+    """Set title, axis labels and ticks. Fractions are shown in percent."""
     from matplotlib.ticker import EngFormatter, PercentFormatter
 
     axes.set_title(title, fontsize=11 if metric else 9, loc="left")
@@ -92,16 +92,16 @@ def finish(axes: "Axes", title: str, metric: str | None, legend: bool = False) -
 
 
 def save(figure: "Figure", out: Path) -> Path:
-    """Write a figure in the format of the suffix.
+    """Write a figure in the format of the suffix and return `out`.
 
     Raises:
-        RunError: it cannot be written.
+        RunError: The file cannot be written.
     """
     out = Path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(out)
-    except (OSError, ValueError) as error:  # the latter for a format it does not know
+    except (OSError, ValueError) as error:  # ValueError for an unknown format
         raise RunError(
             f"cannot write {out}: {getattr(error, 'strerror', None) or error}"
         ) from error

@@ -1,8 +1,8 @@
-"""One frame of an episode: what the environment draws, and below it the skills in use.
+"""Frames of an episode: the environment's picture with the skills in use below it.
 
-The border of the picture has the color of the team skill Z; each agent's label has the color of
-its individual skill z^i. An environment may have `agent_names`, and `agent_colors` (RGB) that mark
-whose label it is.
+The border of the picture has the color of the team skill Z. The label of each agent has the color
+of its individual skill z^i. An environment may have `agent_names`, and `agent_colors` (RGB), which
+are drawn as a dot on the label.
 """
 
 from collections.abc import Sequence
@@ -20,27 +20,31 @@ WON, LOST = "#1B7F3B", "#B3261E"
 
 BORDER = 6
 MIN_WIDTH = 320
-"""Pixels; narrower pictures are enlarged by a whole factor, so that the caption fits."""
+"""Narrower pictures are enlarged by a whole factor, so that the caption fits (pixels)."""
 FONT_SIZE = 14
 LINE = 24
-"""Height of a line of the caption, in pixels."""
+"""Height of a line of the caption (pixels)."""
 
 Agent = tuple[str, tuple[int, int, int] | None]
-"""Name, and color in the picture if known."""
+"""Name of an agent, and its color in the picture if known."""
 
 
 class Chip(NamedTuple):
-    """A token's label."""
+    """Label of the team or of an agent with its skill."""
 
     label: str
     color: str
+    """Color of the skill."""
     dot: tuple[int, int, int] | None
+    """Color of the agent, RGB."""
     left: float
+    """Left edge (pixels)."""
     right: float
+    """Right edge (pixels)."""
 
 
 def describe_agents(env: Environment) -> list[Agent]:
-    """What the environment tells about its agents, else their numbers."""
+    """Return the agents' names and colors if the environment has them, else their numbers."""
     numbers = range(env.num_agents)
     names = getattr(env, "agent_names", [f"agent {i + 1}" for i in numbers])
     return list(zip(names, getattr(env, "agent_colors", [None for _ in numbers])))
@@ -53,7 +57,19 @@ def draw_frame(
     skills: np.ndarray | None,
     agents: Sequence[Agent],
 ) -> np.ndarray:
-    """Frame `picture` in the color of Z; below it, texts left and right, and a chip per skill."""
+    """Draw one frame.
+
+    Args:
+        picture: Picture of the environment, (height, width, 3), uint8.
+        texts: Texts below the picture, on the left and on the right.
+        color: Color of the left text.
+        skills: (Z, z^1, .., z^N), or None for policies without skills.
+        agents: Names and colors of the agents.
+
+    Returns:
+        The frame, (height, width, 3), uint8. The picture has a border in the color of Z, and the
+        caption has one label per skill.
+    """
     from PIL import Image, ImageDraw
 
     factor = -(-MIN_WIDTH // picture.shape[1])
@@ -61,7 +77,7 @@ def draw_frame(
     height, width = picture.shape[0] + 2 * BORDER, picture.shape[1] + 2 * BORDER
     rows = _arrange(skills, agents, width)
     total = height + LINE * (1 + len(rows)) + BORDER
-    # Even sizes: video formats take no others.
+    # Video formats require even sizes.
     image = Image.new("RGB", (width + width % 2, total + total % 2), PAPER)
     draw = ImageDraw.Draw(image)
     edge = INK if skills is None else TEAM_COLORS[skills[0] % len(TEAM_COLORS)]
@@ -81,7 +97,7 @@ def draw_frame(
 
 
 def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> list[list[Chip]]:
-    """Rows of chips, one chip per token, as many as fit in a row."""
+    """Arrange the labels in rows, as many as fit in each row."""
     if skills is None:
         return []
     rows: list[list[Chip]] = [[]]
@@ -101,7 +117,7 @@ def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> 
 
 @lru_cache
 def _font():
-    """The sans-serif font that comes with matplotlib, the same on every machine."""
+    """Return the sans-serif font that comes with matplotlib, the same on every machine."""
     import matplotlib
     from PIL import ImageFont
 

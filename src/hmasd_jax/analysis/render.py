@@ -18,20 +18,20 @@ from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Key, Policy
 
 PAUSE = 1.5
-"""Seconds that the end of an episode stays on screen."""
+"""Time that the end of an episode stays on screen (seconds)."""
 
 
 class Episode(NamedTuple):
     """One episode of T steps."""
 
     env_states: list[Any]
-    """T + 1 unbatched states, the first and the last included."""
+    """T + 1 unbatched simulator states, including the first and the last."""
     skills: np.ndarray | None
-    """(T, tokens): Z, z^1..z^N at every step; None for policies without skills."""
+    """Z, z^1, .., z^N at every step, (T, 1 + N); None for policies without skills."""
     rewards: np.ndarray
-    """(T,)"""
+    """Team reward of every step, (T,)."""
     success: bool | None
-    """None if the environment does not tell."""
+    """True if the episode ended in success; None if the environment has no success."""
 
 
 def render_run(
@@ -46,28 +46,29 @@ def render_run(
     greedy: bool = True,
     episode_seed: int = 0,
 ) -> Path:
-    """Play episodes with what a run has trained, and write them as an animation.
+    """Play episodes with the policy of a run and write them as an animation.
 
     Args:
-        run: folder of the run, finished or still running.
-        out: file to write, .gif, or .mp4 (package imageio-ffmpeg).
-        seed: index of the seed in the run.
-        team_skill: Z to hold throughout; the coordinator then only chooses individual skills.
-        episodes: number of episodes, one after the other.
-        fps: environment steps per second.
-        step: environment steps of the checkpoint; None is the newest.
-        skills: (Z, z^1, .., z^N) to hold throughout, None where the coordinator chooses; instead
-            of `team_skill`.
-        greedy: whether to act by arg-max or to sample.
-        episode_seed: source of the episodes' randomness, e.g. of where agents start.
+        run: Folder of the run, finished or still running.
+        out: File to write, .gif or .mp4 (which needs the package imageio-ffmpeg).
+        seed: Index of the seed in the run.
+        team_skill: Z to hold throughout. The coordinator then chooses only individual skills.
+        episodes: Number of episodes, drawn one after the other.
+        fps: Environment steps per second.
+        step: Environment steps of the checkpoint; None selects the newest.
+        skills: Skills to hold throughout, (Z, z^1, .., z^N), in place of `team_skill`. The
+            coordinator chooses those that are None.
+        greedy: If True, act by arg-max; else sample.
+        episode_seed: Seed of the episodes, e.g. of the positions in which agents start.
 
     Returns:
         `out`.
 
     Raises:
         MissingPackageError: imageio or Pillow is not installed.
-        RunError: not the folder of a run, no such seed or skill, or `out` cannot be written.
-        CheckpointError: nothing was saved yet, or it is damaged.
+        RunError: `run` is not the folder of a run, there is no such seed or skill, or `out`
+            cannot be written.
+        CheckpointError: There is no such checkpoint, or it is damaged.
     """
     for package in ("imageio", "PIL", "matplotlib"):
         require(package, "plots", "rendering")
@@ -87,10 +88,10 @@ def render_run(
 def make_policy(
     trained: TrainedRun, skills: Sequence[int | None] | None = None, greedy: bool = True
 ) -> Policy:
-    """The policy of a run, holding the given skills.
+    """Return the policy of a run, which holds the given skills.
 
     Raises:
-        RunError: the algorithm has no skills, or not these.
+        RunError: The algorithm has no skills, or one of the skills does not exist.
     """
     if skills is None:
         return trained.algorithm.policy(trained.state, greedy)
@@ -104,11 +105,11 @@ def make_policy(
 
 
 def play(env: Environment, policy: Policy, keys: Key) -> tuple[Any, Any, Any]:
-    """Play one episode per key, without reset at its end.
+    """Play one episode per key, without a reset at its end.
 
     Returns:
-        Simulator states (E, max_steps + 1, ...), time steps of the same shape, and what the
-        policy adds to its actions (E, max_steps, ...). After an episode's end they mean nothing.
+        Simulator states (E, max_steps + 1, ...), time steps of the same shape, and the extras of
+        the policy (E, max_steps, ...). Values after the end of an episode are meaningless.
     """
 
     def step(loop, key):
@@ -159,7 +160,7 @@ def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:
 def draw_episode(
     env: Environment, episode: Episode, title: str = "", pause: int = 0
 ) -> list[np.ndarray]:
-    """Frames (height, width, 3), one per state, the last repeated `pause` times."""
+    """Draw one frame (height, width, 3) per state, and repeat the last one `pause` times."""
     length = len(episode.rewards)
     agents = describe_agents(env)
     frames = []
@@ -176,10 +177,10 @@ def draw_episode(
 
 
 def check_format(out: Path) -> None:
-    """Insist on a format that can be written here, before anything is played.
+    """Check that the format of `out` can be written on this machine.
 
     Raises:
-        RunError: it is neither .gif nor .mp4, or a package is missing for the latter.
+        RunError: The suffix is neither .gif nor .mp4, or the package for .mp4 is missing.
     """
     suffix = Path(out).suffix
     if suffix not in (".gif", ".mp4"):
@@ -189,10 +190,10 @@ def check_format(out: Path) -> None:
 
 
 def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
-    """Write an animation; all frames are of the same, even size.
+    """Write an animation and return `out`. All frames must have the same, even size.
 
     Raises:
-        RunError: there is no such format, or the file cannot be written.
+        RunError: The format is not known, or the file cannot be written.
     """
     import imageio.v3 as iio
 
@@ -204,7 +205,7 @@ def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
             iio.imwrite(out, frames, duration=1000 / fps, loop=0)
             return out
         with warnings.catch_warnings():
-            # The encoder is another program; starting it is harmless, whatever jax fears.
+            # JAX warns of a fork, but here a fork only starts the encoder, another program.
             warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
             iio.imwrite(out, np.stack(frames), fps=fps, macro_block_size=2)
     except OSError as error:

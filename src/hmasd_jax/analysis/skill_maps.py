@@ -1,4 +1,4 @@
-"""What each skill does, in one picture (as the paper's Figs. 4 and 9): for Alice_and_Bob."""
+"""Maps of the skills learned on Alice_and_Bob, as in the paper's Figs. 4 and 9."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -22,34 +22,35 @@ if TYPE_CHECKING:
 def draw_skills(
     run: Path, out: Path, seed: int = 0, step: int | None = None, episodes: int = 200
 ) -> Path:
-    """Draw where each individual skill leads, and which of them each team skill calls for.
+    """Draw the cells that each individual skill visits, and the skills that each Z assigns.
 
-    A map shows the share of time that an agent spends in each cell in the second half of a skill
-    interval in which all agents follow that skill, from random starts. The table beside it is
-    how often the coordinator gives the agent each z when Z is held; both act by arg-max.
+    A map shows the share of time that an agent spends in each cell. All agents follow the skill
+    from random starts, and the second half of a skill interval counts. The table beside the maps
+    shows how often the coordinator assigns each z to the agent while Z is held. Skills and actions
+    are chosen by arg-max.
 
     Args:
-        run: folder of a run of HMASD on Alice_and_Bob, finished or still running.
-        out: image to write; the suffix is its format.
-        seed: index of the seed in the run.
-        step: environment steps of the checkpoint; None is the newest.
-        episodes: random starts per skill.
+        run: Folder of a run of HMASD on Alice_and_Bob, finished or still running.
+        out: Image to write. Its suffix selects the format.
+        seed: Index of the seed in the run.
+        step: Environment steps of the checkpoint; None selects the newest.
+        episodes: Number of random starts per skill.
 
     Returns:
         `out`.
 
     Raises:
         MissingPackageError: matplotlib is not installed.
-        RunError: not the folder of a run, no such seed, another environment, or `out` cannot be
-            written.
-        CheckpointError: nothing was saved yet, or it is damaged.
+        RunError: `run` is not the folder of a run, has no such seed or another environment, or
+            `out` cannot be written.
+        CheckpointError: There is no such checkpoint, or it is damaged.
     """
     require("matplotlib", "plots", "plotting")
     from matplotlib.figure import Figure
 
     trained = load_run(run, seed, step)
     if not isinstance(trained.env, AliceAndBob):
-        raise RunError(f"{run} is not a run on alice_and_bob, whose maps these are")
+        raise RunError(f"{run} is not a run on alice_and_bob, the only environment with maps")
     visits = visitation(trained, episodes)  # (skills, agents, rows, columns)
     choices = coordinator_choices(trained, episodes)  # (team skills, agents, skills)
     num_skills, num_agents = visits.shape[:2]
@@ -68,7 +69,7 @@ def draw_skills(
 
 
 def visitation(trained: TrainedRun, episodes: int) -> np.ndarray:
-    """Share of time in each cell (skills, agents, rows, columns), per skill and agent."""
+    """Return the share of time per cell, (skills, agents, rows, columns)."""
     config, env = trained.config.algorithm, trained.env
     keys = jax.random.split(jax.random.key(0), episodes)
     end = min(config.skill_interval, env.max_steps)
@@ -76,7 +77,7 @@ def visitation(trained: TrainedRun, episodes: int) -> np.ndarray:
     for skill in range(config.num_skills):
         policy = make_policy(trained, (None, *[skill] * env.num_agents))
         env_states, timesteps, _ = jax.device_get(play(env, policy, keys))
-        # (E, T + 1): up to the end of the episode, whose steps after that mean nothing.
+        # (E, T + 1): True up to the end of the episode; later steps are meaningless.
         alive = np.cumsum(timesteps.done, axis=1) - timesteps.done == 0
         times = np.arange(alive.shape[1])
         counted = alive & (times > end // 2) & (times <= end)
@@ -87,7 +88,7 @@ def visitation(trained: TrainedRun, episodes: int) -> np.ndarray:
 
 
 def coordinator_choices(trained: TrainedRun, episodes: int) -> np.ndarray:
-    """How often the coordinator gives z to each agent (team skills, agents, skills), at starts."""
+    """Return the frequency of each z at the first step, (team skills, agents, skills)."""
     config, env = trained.config.algorithm, trained.env
     keys = jax.random.split(jax.random.key(1), episodes)
     shares = np.zeros((config.num_team_skills, env.num_agents, config.num_skills))
@@ -100,7 +101,7 @@ def coordinator_choices(trained: TrainedRun, episodes: int) -> np.ndarray:
 
 
 def _draw_map(axes: "Axes", visits: np.ndarray) -> None:
-    """A board: darker where the agent is more often, with buttons and diamonds in outline."""
+    """Draw a board, darker in cells with more visits, with outlined buttons and diamonds."""
     axes.imshow(np.sqrt(visits), cmap="Greys", vmin=0, vmax=1)  # the root shows rare cells too
     for cells, marker in ((alice_and_bob.BUTTONS, "s"), (alice_and_bob.DIAMONDS, "D")):
         for (row, column), name in zip(cells, ("red", "blue")):
@@ -111,7 +112,7 @@ def _draw_map(axes: "Axes", visits: np.ndarray) -> None:
 
 
 def _draw_table(axes: "Axes", shares: np.ndarray) -> None:
-    """Percentages (team skills, skills)."""
+    """Draw a table of percentages from shares (team skills, skills)."""
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")
     for (row, column), share in np.ndenumerate(shares):
         color = "white" if share > 0.5 else "black"

@@ -1,6 +1,6 @@
-"""Statistics over seeds: what curves and tables of results are made of. NumPy only.
+"""Statistics over seeds for curves and tables of results, in NumPy.
 
-`values` has one row per seed and one column per evaluation; `scores` one number per seed.
+`values` has one row per seed and one column per evaluation. `scores` has one number per seed.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,26 +13,31 @@ Array = NDArray[np.float64]
 
 
 class Summary(TypedDict):
-    """Of the scores of all seeds; the two ends of `interval` enclose the mean."""
+    """Statistics of the scores of all seeds."""
 
     seeds: int
+    """Number of seeds."""
     mean: float
     std: float
+    """Population standard deviation."""
     iqm: float
+    """Interquartile mean."""
     interval: tuple[float, float]
+    """95 % bootstrap interval of the mean."""
     min: float
     max: float
     fraction_solved: float
+    """Fraction of seeds that have solved the task."""
 
 
 def mean_and_std(values: ArrayLike) -> tuple[Array, Array]:
-    """Mean and population standard deviation over seeds (the first axis)."""
+    """Return mean and population standard deviation over seeds (the first axis)."""
     values = np.asarray(values, float)
     return values.mean(axis=0), values.std(axis=0)
 
 
 def interquartile_mean(values: ArrayLike) -> Array:
-    """Mean over seeds (the first axis) without the lowest and the highest quarter of them.
+    """Return the mean over seeds (the first axis) without their lowest and highest quarter.
 
     A quarter is rounded down to whole seeds: of five seeds, the middle three count.
 
@@ -52,18 +57,18 @@ def bootstrap_interval(
     num_samples: int = 2000,
     level: float = 0.95,
 ) -> tuple[Array, Array]:
-    """Percentile interval of `statistic` by the stratified bootstrap.
+    """Return the percentile interval of `statistic` from the stratified bootstrap.
 
     Args:
-        groups: one array (seeds, ...) per stratum, e.g. per task or per algorithm. The seeds of
-            each are drawn anew, with replacement, independently of the other strata.
-        statistic: maps arrays like `groups` to a number or an array.
-        rng: source of randomness; the same generator state gives the same interval.
-        num_samples: bootstrap samples.
-        level: probability that the interval is to have.
+        groups: One array (seeds, ...) per stratum, e.g. per task or per algorithm. The seeds of
+            each are resampled with replacement, independently of the other strata.
+        statistic: Function from arrays like `groups` to a number or an array.
+        rng: Source of randomness. The same generator state gives the same interval.
+        num_samples: Number of bootstrap samples.
+        level: Confidence level of the interval.
 
     Returns:
-        Lower and upper ends, of the statistic's shape.
+        Lower and upper ends, each with the shape of the statistic.
     """
     arrays = [np.asarray(group, float) for group in groups]
 
@@ -77,7 +82,7 @@ def bootstrap_interval(
 
 
 class Estimate(NamedTuple):
-    """A statistic of the seeds at hand, and its 95 % bootstrap interval."""
+    """A statistic of the seeds and its 95 % interval."""
 
     value: float
     low: float
@@ -87,16 +92,17 @@ class Estimate(NamedTuple):
 def estimate(
     groups: Sequence[ArrayLike], statistic: Callable[[list[Array]], ArrayLike], seed: int = 0
 ) -> Estimate:
-    """`statistic` of `groups`, one per stratum as in `bootstrap_interval`."""
+    """Return `statistic` of `groups` (one per stratum) with its bootstrap interval."""
     arrays = [np.asarray(group, float) for group in groups]
     low, high = bootstrap_interval(arrays, statistic, np.random.default_rng(seed))
     return Estimate(float(np.asarray(statistic(arrays))), float(low), float(high))
 
 
 def estimate_fraction(scores: ArrayLike, threshold: float) -> Estimate:
-    """`fraction_above` with its Wilson interval, which also holds if all seeds agree.
+    """Return `fraction_above` with its Wilson interval.
 
-    Of ten seeds that all learn, the bootstrap would say that none can ever fail.
+    If all seeds learn, the bootstrap interval has width 0, as if no seed could ever fail. The
+    Wilson interval also holds then.
     """
     n, z2 = np.size(scores), 1.959964**2
     p = fraction_above(scores, threshold)
@@ -106,26 +112,31 @@ def estimate_fraction(scores: ArrayLike, threshold: float) -> Estimate:
 
 
 def probability_of_improvement(scores: ArrayLike, other: ArrayLike) -> float:
-    """Probability that a seed with one of `scores` is better than one of `other`; ties count half.
+    """Return the probability that a seed of `scores` is better than one of `other`.
+
+    It is the Mann-Whitney U statistic divided by the number of pairs. Ties count half.
 
     References:
-        Agarwal et al., 2021, as in `interquartile_mean`: the Mann-Whitney U over all pairs
+        Agarwal et al., 2021, as in `interquartile_mean`
     """
     difference = np.asarray(scores, float)[:, None] - np.asarray(other, float)
     return float(((1 + np.sign(difference)) / 2).mean())
 
 
 def mean_interval(values: ArrayLike, seed: int = 0) -> tuple[Array, Array]:
-    """95 % interval of the mean over seeds, per evaluation; whole curves are drawn."""
+    """Return the 95 % interval of the mean over seeds for each evaluation.
+
+    The bootstrap resamples whole curves.
+    """
     rng = np.random.default_rng(seed)
     return bootstrap_interval([values], lambda groups: groups[0].mean(axis=0), rng)
 
 
 def last_evaluations(values: ArrayLike, count: int) -> Array:
-    """One score per seed: the mean of its last `count` evaluations.
+    """Return one score per seed, the mean of its last `count` evaluations.
 
     Raises:
-        ValueError: there are fewer evaluations.
+        ValueError: There are fewer evaluations.
     """
     values = np.asarray(values, float)
     if not 1 <= count <= values.shape[1]:
@@ -134,17 +145,17 @@ def last_evaluations(values: ArrayLike, count: int) -> Array:
 
 
 def fraction_above(scores: ArrayLike, threshold: float) -> float:
-    """Fraction of seeds whose score is at least `threshold`."""
+    """Return the fraction of seeds with a score of at least `threshold`."""
     return float(np.mean(np.asarray(scores, float) >= threshold))
 
 
 def summarize(scores: ArrayLike, solved_at: float = 0.9, seed: int = 0) -> Summary:
-    """All that a table of results says about the scores of one algorithm on one task.
+    """Summarize the scores of one algorithm on one task.
 
     Args:
-        scores: one per seed, e.g. of `last_evaluations`.
-        solved_at: score from which on a seed counts as solved.
-        seed: of the bootstrap.
+        scores: One score per seed, e.g. from `last_evaluations`.
+        solved_at: Lowest score of a seed that has solved the task.
+        seed: Seed of the bootstrap.
     """
     scores = np.asarray(scores, float)
     low, high = mean_interval(scores, seed)

@@ -1,1 +1,1 @@
-"""Files of a run: its folder, metrics, checkpoints, and how to load them."""
+"""Files of a run: its folder, metrics and checkpoints, and functions that load them."""

@@ -1,7 +1,10 @@
-"""The folder of a run: one layout, however the seeds in it were computed.
+"""The folder of a run. Its layout is the same for all layouts of the seeds.
 
-RUN/config.json, RUN/run.json, RUN/seed_<i>/metrics.jsonl, RUN/seed_<i>/checkpoints/<env steps>/,
-and at the end RUN/summary.json and RUN/curves.png.
+- `config.json`: the resolved configuration.
+- `run.json`: commands, commit, versions and hardware.
+- `seed_<i>/metrics.jsonl`: the records of training and evaluation.
+- `seed_<i>/checkpoints/<env steps>.npz`: the newest checkpoints.
+- `summary.json` and `curves.png`, at the end of the run.
 """
 
 import json
@@ -16,85 +19,89 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax import config as configs
-from hmasd_jax.config import TrainConfig
+from hmasd_jax.config import TrainConfig, load, to_json
 
 try:
     import fcntl
-except ImportError:  # not on Windows: nothing then keeps two processes off one seed
+except ImportError:  # Windows, where two processes are then able to train the same seed
     fcntl = None
 
 
 class RunError(RuntimeError):
-    """A run folder cannot be used as asked; the message is one line that says what to do."""
+    """A run folder cannot be used as asked; the message is one line with the remedy."""
 
 
 def seed_folder(run: Path, index: int) -> Path:
-    """Everything that belongs to one seed."""
+    """Return the folder with all files of one seed."""
     return run / f"seed_{index}"
 
 
 def metrics_path(run: Path, index: int) -> Path:
-    """One JSON object per line."""
+    """Return the file of one seed's metrics, which has one JSON object per line."""
     return seed_folder(run, index) / "metrics.jsonl"
 
 
 def checkpoint_folder(run: Path, index: int) -> Path:
-    """Of one seed."""
+    """Return the folder of one seed's checkpoints."""
     return seed_folder(run, index) / "checkpoints"
 
 
 def seeds_of(run: Path) -> list[int]:
-    """Indices of the seeds that have a folder, ascending."""
+    """Return the indices of the seeds that have a folder, in ascending order."""
     names = [path.name.removeprefix("seed_") for path in run.glob("seed_*")]
     return sorted(int(name) for name in names if name.isdigit())
 
 
 def read_config(run: Path) -> TrainConfig:
-    """The resolved configuration of a run.
+    """Read the resolved configuration of a run.
 
     Raises:
         RunError: `run` is not the folder of a run.
-        ConfigError: its configuration is not valid any more.
+        ConfigError: The configuration is not valid in this version.
     """
     if not (run / "config.json").is_file():
         raise RunError(f"{run} is not a run folder: it has no config.json")
-    return configs.load(run / "config.json")
+    return load(run / "config.json")
 
 
 def create(run: Path, config: TrainConfig, command: list[str]) -> None:
-    """Start a new run folder.
+    """Create a new run folder.
+
+    Args:
+        run: Path of the folder. An empty folder may exist there.
+        config: Configuration to write to `config.json`.
+        command: Words of the command line to record in `run.json`.
 
     Raises:
-        RunError: there is something at `run`, or it cannot be written.
+        RunError: The path is in use or cannot be written.
     """
     if run.exists() and (not run.is_dir() or any(run.iterdir())):
         raise RunError(f"{run} exists: continue it with --resume, or choose another --run-dir")
     try:
         run.mkdir(parents=True, exist_ok=True)
         write_json(run / "run.json", describe(command))
-        write_json(run / "config.json", configs.to_json(config))
+        write_json(run / "config.json", to_json(config))
     except OSError as error:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
 
 def note_resume(run: Path, config: TrainConfig, command: list[str]) -> None:
-    """Record that and how the run was continued, and in config.json how far it is to go now."""
+    """Add the command to `run.json`, and write the configuration, which may be a longer run."""
     record = json.loads((run / "run.json").read_text())
     record.setdefault("resumed", []).append(describe(command))
     write_json(run / "run.json", record)
-    write_json(run / "config.json", configs.to_json(config))
+    write_json(run / "config.json", to_json(config))
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Replace `path` in one step, so that a reader never sees half of it."""
+    """Write a JSON file atomically, so that a reader never sees half of it."""
     unfinished = path.with_suffix(".tmp")
     unfinished.write_text(json.dumps(value, indent=2) + "\n")
     unfinished.replace(path)
 
 
 def describe(command: list[str]) -> dict[str, Any]:
-    """What a result can depend on beside the configuration."""
+    """Return what a result can depend on beside the configuration: versions and hardware."""
     import jax
 
     device = jax.devices()[0]
@@ -116,7 +123,7 @@ def describe(command: list[str]) -> dict[str, Any]:
 
 
 def available_cores() -> list[int]:
-    """Processor cores that this process may use."""
+    """Return the processor cores that this process may use, in ascending order."""
     if hasattr(os, "sched_getaffinity"):
         return sorted(os.sched_getaffinity(0))
     return list(range(os.cpu_count() or 1))
@@ -124,10 +131,10 @@ def available_cores() -> list[int]:
 
 @contextmanager
 def lock(run: Path, index: int) -> Iterator[None]:
-    """Hold one seed for this process; the system lets go of it however the process ends.
+    """Lock one seed for this process. The system releases the lock when the process ends.
 
     Raises:
-        RunError: another process is training it.
+        RunError: Another process is training the seed.
     """
     folder = seed_folder(run, index)
     folder.mkdir(parents=True, exist_ok=True)
@@ -141,7 +148,7 @@ def lock(run: Path, index: int) -> Iterator[None]:
 
 
 def _commit() -> str | None:
-    """Commit of the checkout that this package runs from, `+` marking uncommitted changes."""
+    """Return the commit of the checkout of this package, with `+` if there are changes."""
     here = Path(__file__).parent
     git = ["git", "-C", str(here)]
     try:
@@ -169,5 +176,5 @@ def _cpu_model() -> str:
 
 
 def shell_command(arguments: list[str]) -> list[str]:
-    """How this program is started with `arguments`."""
+    """Return the words of the command that starts this program with `arguments`."""
     return [Path(sys.executable).name, "-m", "hmasd_jax.train", *arguments]

@@ -4,23 +4,22 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
-
 from envs_jax import Environment
-from hmasd_jax import config as configs
-from hmasd_jax.config import TrainConfig
-from hmasd_jax.runs import checkpoint
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.config import TrainConfig, build, to_json
+from hmasd_jax.runs.checkpoint import restore, state_template
+from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
 from hmasd_jax.types import Algorithm, Policy
 
 
 class TrainedRun(NamedTuple):
-    """One seed of a run as it was at a checkpoint."""
+    """One seed of a run at a checkpoint."""
 
     config: TrainConfig
+    """Configuration of the run."""
     env: Environment
+    """Environment that `config` describes."""
     algorithm: Algorithm
+    """Algorithm that `config` describes."""
     state: Any
     """The whole train state."""
     env_steps: int
@@ -28,28 +27,27 @@ class TrainedRun(NamedTuple):
 
 
 def load_run(run: Path | str, seed: int = 0, step: int | None = None) -> TrainedRun:
-    """Rebuild what a run trained.
+    """Load the train state of a run, and build its environment and algorithm.
 
     Args:
-        run: folder of the run.
-        seed: index of the seed in it.
-        step: environment steps of the checkpoint; None is the newest.
+        run: Folder of the run.
+        seed: Index of the seed in the run.
+        step: Environment steps of the checkpoint; None selects the newest.
 
     Raises:
-        RunError: not the folder of a run, or it has no such seed.
-        ConfigError: the run's configuration is not valid any more.
-        CheckpointError: there is no such checkpoint, or it is damaged.
+        RunError: `run` is not the folder of a run, or has no such seed.
+        ConfigError: The configuration of the run is not valid in this version.
+        CheckpointError: There is no such checkpoint, or it is damaged.
     """
     run = Path(run)
-    config = run_folder.read_config(run)
-    seeds = run_folder.seeds_of(run)
+    config = read_config(run)
+    seeds = seeds_of(run)
     if seed not in seeds:
         known = ", ".join(map(str, seeds)) or "none yet"
         raise RunError(f"{run} has no seed {seed}: there are {known}")
-    env, algorithm = configs.build(config)
-    template = jax.eval_shape(algorithm.init, jax.random.key(0))
-    folder = run_folder.checkpoint_folder(run, seed)
-    state, env_steps = checkpoint.restore(folder, template, configs.to_json(config), step)
+    env, algorithm = build(config)
+    folder = checkpoint_folder(run, seed)
+    state, env_steps = restore(folder, state_template(algorithm), to_json(config), step)
     return TrainedRun(config, env, algorithm, state, env_steps)
 
 
@@ -60,25 +58,25 @@ def load_policy(
     greedy: bool = True,
     skills: Sequence[int | None] | None = None,
 ) -> Policy:
-    """The policy that a run has trained, as a pair of pure functions.
+    """Load the policy of a run as a pair of pure functions.
 
     Example:
         >>> policy = hmasd_jax.load_policy("runs/alice_and_bob")  # doctest: +SKIP
         >>> metrics = evaluate(env, policy, jax.random.key(0), num_episodes=100)  # doctest: +SKIP
 
     Args:
-        run: folder of the run, finished or still running.
-        seed: index of the seed in it.
-        step: environment steps of the checkpoint; None is the newest.
-        greedy: whether to act by arg-max (the paper's evaluation) or to sample.
-        skills: the skills to follow, (Z, z^1, .., z^N), instead of the coordinator's choice; it
-            still chooses those that are None. Only for algorithms with skills.
+        run: Folder of the run, finished or still running.
+        seed: Index of the seed in the run.
+        step: Environment steps of the checkpoint; None selects the newest.
+        greedy: If True, act by arg-max as in the paper's evaluation; else sample.
+        skills: Skills to follow, (Z, z^1, .., z^N). The coordinator chooses those that are None.
+            Only for algorithms with skills.
 
     Raises:
-        RunError: not the folder of a run, or it has no such seed.
-        ConfigError: the run's configuration is not valid any more.
-        CheckpointError: there is no such checkpoint, or it is damaged.
-        ValueError: wrong number of skills, or a skill that does not exist.
+        RunError: `run` is not the folder of a run, or has no such seed.
+        ConfigError: The configuration of the run is not valid in this version.
+        CheckpointError: There is no such checkpoint, or it is damaged.
+        ValueError: The number of skills is wrong, or a skill does not exist.
     """
     trained = load_run(run, seed, step)
     if skills is None:

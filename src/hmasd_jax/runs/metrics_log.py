@@ -1,7 +1,7 @@
-"""Where metrics go: JSON lines always, TensorBoard and Weights & Biases if asked for.
+"""Logs of metrics: always JSON lines, and TensorBoard or Weights & Biases on request.
 
-A record is a flat dictionary with `kind` ("train" or "eval"), `seed`, `env_steps`,
-`wall_seconds` (of training so far, compilation excluded) and numbers by name.
+A record is a flat dictionary with `kind` ("train" or "eval"), `seed`, `env_steps`, `wall_seconds`
+(training time so far, without compilation) and numbers by name.
 """
 
 import importlib.util
@@ -9,29 +9,31 @@ import json
 from pathlib import Path
 from typing import Any, Protocol
 
-from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs.folder import metrics_path, seed_folder
 from hmasd_jax.validation import ConfigError
 
 Record = dict[str, Any]
 NOT_METRICS = {"kind", "seed", "env_steps"}
+"""Fields of a record that say where it belongs."""
 
 
 class Writer(Protocol):
-    """Takes the records of one seed."""
+    """A destination for the records of one seed."""
 
     def write(self, record: Record) -> None:
-        """Keep one record."""
+        """Write one record."""
         ...
 
     def close(self) -> None:
-        """Finish; nothing is written afterwards."""
+        """Finish writing. `write` must not be called afterwards."""
         ...
 
 
 class JsonLines:
-    """One JSON object per line; every line is handed to the system at once."""
+    """A file with one JSON object per line. Each line is flushed at once."""
 
     def __init__(self, path: Path) -> None:
+        """Open the file to append to it."""
         self._file = path.open("a")
 
     def write(self, record: Record) -> None:
@@ -45,31 +47,36 @@ class JsonLines:
 
 
 class TensorBoard:
-    """Scalars as `train/<name>` and `eval/<name>` over environment steps."""
+    """TensorBoard scalars `train/<name>` and `eval/<name>` over environment steps."""
 
     def __init__(self, folder: Path, resumed_at: int) -> None:
+        """Open a log, and hide the records after `resumed_at` environment steps."""
         from tensorboardX import SummaryWriter
 
         self._writer = SummaryWriter(str(folder), purge_step=resumed_at + 1)
 
     def write(self, record: Record) -> None:
-        """Add every number of the record."""
+        """Add every number of the record as a scalar."""
         for name, value in _metrics(record).items():
             self._writer.add_scalar(name, value, record["env_steps"])
 
     def close(self) -> None:
-        """Write what is still buffered."""
+        """Write the buffered scalars and close the file."""
         self._writer.close()
 
 
 class WeightsAndBiases:
-    """One W&B run per seed, grouped by run folder; `WANDB_MODE=offline` needs no account."""
+    """One run of Weights & Biases per seed, grouped by run folder.
+
+    With `WANDB_MODE=offline` it needs no account.
+    """
 
     def __init__(self, run: Path, seed: int, config: dict) -> None:
+        """Start the run."""
         import wandb  # pyrefly: ignore (an optional package)
 
         self._run = wandb.init(
-            dir=str(run_folder.seed_folder(run, seed)),
+            dir=str(seed_folder(run, seed)),
             group=run.name,
             name=f"{run.name}/seed_{seed}",
             config=config,
@@ -83,40 +90,48 @@ class WeightsAndBiases:
         self._run.log({"env_steps": record["env_steps"], **_metrics(record)})
 
     def close(self) -> None:
-        """Upload the rest."""
+        """Upload the remaining records."""
         self._run.finish()
 
 
 def open_writers(
-    run: Path, seed: int, config: dict, resumed_at: int, extras: tuple[str, ...]
+    run: Path, seed: int, config: dict, resumed_at: int, loggers: tuple[str, ...]
 ) -> list[Writer]:
-    """Writers of one seed, going on after `resumed_at` environment steps (-1: from nothing)."""
-    writers: list[Writer] = [JsonLines(run_folder.metrics_path(run, seed))]
-    if "tensorboard" in extras:
-        folder = run_folder.seed_folder(run, seed) / "tensorboard"
+    """Open all logs of one seed.
+
+    Args:
+        run: Folder of the run.
+        seed: Index of the seed.
+        config: Configuration of the run, of JSON types.
+        resumed_at: Environment steps done before; -1 for a new seed.
+        loggers: Loggers beside the JSON lines, any of `tensorboard` and `wandb`.
+    """
+    writers: list[Writer] = [JsonLines(metrics_path(run, seed))]
+    if "tensorboard" in loggers:
+        folder = seed_folder(run, seed) / "tensorboard"
         writers.append(TensorBoard(folder, resumed_at))
-    if "wandb" in extras:
+    if "wandb" in loggers:
         writers.append(WeightsAndBiases(run, seed, config))
     return writers
 
 
-def check_extras(extras: tuple[str, ...]) -> None:
-    """Insist that the optional packages asked for are installed.
+def check_loggers(loggers: tuple[str, ...]) -> None:
+    """Check that the optional packages of the loggers are installed.
 
     Raises:
-        ConfigError: one is not.
+        ConfigError: A package is missing.
     """
     packages = {"tensorboard": "tensorboardX", "wandb": "wandb"}
-    for extra in extras:
-        if importlib.util.find_spec(packages[extra]) is None:
+    for logger in loggers:
+        if importlib.util.find_spec(packages[logger]) is None:
             raise ConfigError(
-                f"--{extra} needs the package {packages[extra]}, which is not installed: "
-                f"pip install 'hmasd-jax[{extra}]'"
+                f"--{logger} needs the package {packages[logger]}, which is not installed: "
+                f"pip install 'hmasd-jax[{logger}]'"
             )
 
 
 def read(path: Path) -> list[Record]:
-    """All whole records of a file; a line that a kill cut short is left out."""
+    """Read all records of a file up to the first incomplete line, which a kill may have left."""
     records = []
     for line in path.read_text().splitlines() if path.exists() else []:
         try:
@@ -127,7 +142,7 @@ def read(path: Path) -> list[Record]:
 
 
 def keep_until(path: Path, env_steps: int) -> None:
-    """Drop the records after `env_steps`: training goes on from there and writes them again."""
+    """Delete the records after `env_steps`. Resumed training writes them again."""
     if not path.exists():
         return
     kept = [record for record in read(path) if record["env_steps"] <= env_steps]
@@ -137,5 +152,5 @@ def keep_until(path: Path, env_steps: int) -> None:
 
 
 def _metrics(record: Record) -> Record:
-    """Numbers of a record, by names that tell training from evaluation."""
+    """Return the numbers of a record under the names `train/<name>` or `eval/<name>`."""
     return {f"{record['kind']}/{k}": v for k, v in record.items() if k not in NOT_METRICS}

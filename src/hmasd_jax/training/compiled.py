@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from hmasd_jax import config as configs
+from envs_jax import Environment
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.types import Algorithm, Key, Learner, Metrics
@@ -17,59 +17,66 @@ from hmasd_jax.types import Algorithm, Key, Learner, Metrics
 BatchLayout = Literal["vmap", "map", "sharded"]
 
 EVALUATION = 2**31
-"""Folded into the experiment's key, where training runs fold in their small index."""
+"""Folded into the experiment's key for evaluations. Training folds in the small index of a seed."""
 
 
 class Advanced(NamedTuple):
-    """What a number of updates brings."""
+    """Result of a number of updates."""
 
     states: Any
+    """Train states after the updates, with the seeds on the first axis."""
     sums: Metrics
-    """Sums of every metric over the updates, (seeds,)."""
+    """Sum of every metric over the updates, (seeds,)."""
     healthy: Bool[Array, " seeds"]
-    """Whether all parameters, optimizer states and metrics are finite."""
+    """True if all parameters, optimizer states and metrics are finite, (seeds,)."""
 
 
 class Programs(NamedTuple):
     """Executables for a fixed number of seeds."""
 
     num_seeds: int
+    """Size of the first axis of all arguments and results."""
     init: Callable[[Key], Any]
+    """`init(keys)` returns the initial train states."""
     advance: Callable[[Any, Array], Advanced]
-    """`advance(states, num_updates)`; `states` is donated."""
+    """`advance(states, num_updates)` runs updates; `states` is donated."""
     evaluate: Callable[[Any, Key], Metrics]
-    """`evaluate(states, keys)`: means over greedy episodes, (seeds,)."""
+    """`evaluate(states, keys)` returns means over greedy episodes, (seeds,)."""
     memory_bytes: int
-    """What the largest of them needs at once, by the compiler's own account."""
+    """Memory that the largest program needs, as the compiler predicts."""
     compile_seconds: float
+    """Wall time of building and compiling all of them."""
 
 
 def seed_key(config: TrainConfig, index: int) -> Key:
-    """Where training run `index` of an experiment begins."""
+    """Return the key that training run `index` of an experiment starts from."""
     return jax.random.fold_in(jax.random.key(config.seed), index)
 
 
 def evaluation_key(config: TrainConfig, index: int, env_steps: int) -> Key:
-    """Randomness of the evaluation of run `index` after `env_steps`."""
+    """Return the key for the evaluation of run `index` after `env_steps`."""
     key = jax.random.fold_in(jax.random.key(config.seed), EVALUATION + index)
     return jax.random.fold_in(key, env_steps)
 
 
-def state_template(algorithm: Algorithm) -> Any:
-    """Shapes of one seed's train state."""
-    return jax.eval_shape(algorithm.init, jax.random.key(0))
-
-
-def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -> Programs:
-    """Build and compile everything that training `num_seeds` seeds at once runs.
+def compile_programs(
+    env: Environment,
+    algorithm: Algorithm,
+    eval_episodes: int,
+    num_seeds: int,
+    layout: BatchLayout,
+) -> Programs:
+    """Compile all programs that train `num_seeds` seeds at once.
 
     Args:
-        config: the run.
-        num_seeds: with `sharded`, a multiple of `jax.local_device_count()`.
-        layout: how the seeds are batched.
+        env: Environment for the evaluations.
+        algorithm: Algorithm to train.
+        eval_episodes: Episodes per evaluation and seed.
+        num_seeds: Number of seeds. For `sharded`, a multiple of `jax.local_device_count()`.
+        layout: Layout of the seeds: all at once (`vmap`), one after the other (`map`), or over all
+            devices of this process (`sharded`).
     """
     start = time.perf_counter()
-    env, algorithm = configs.build(config)
     update = jax.jit(algorithm.update)  # traced once although used twice below
 
     def advance(state: Any, num_updates: Array) -> Advanced:
@@ -85,7 +92,7 @@ def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -
         return Advanced(state, sums, all_finite(state, sums))
 
     def play(state: Any, key: Key) -> Metrics:
-        return evaluate(env, algorithm.policy(state, greedy=True), key, config.eval_episodes)
+        return evaluate(env, algorithm.policy(state, greedy=True), key, eval_episodes)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
     init_seeds = jax.jit(batched(algorithm.init, num_seeds, layout))
@@ -98,18 +105,23 @@ def compile_programs(config: TrainConfig, num_seeds: int, layout: BatchLayout) -
         build_executable(advance_seeds, states, count),
         build_executable(evaluate_seeds, states, keys),
     )
-    memory = max(_memory_bytes(program) for program in programs)
-    return Programs(num_seeds, *programs, memory, time.perf_counter() - start)
+    memory_bytes = max(_memory_bytes(program) for program in programs)
+    return Programs(num_seeds, *programs, memory_bytes, time.perf_counter() - start)
 
 
 def build_executable(
     function: jax.stages.Wrapped, *args: Any, runs_once: bool = False
 ) -> jax.stages.Compiled:
-    """Trace and compile a jitted function, in little time where that does not make it slower.
+    """Trace and compile a jitted function with options that save compile time.
 
-    On a CPU at LLVM's first level of optimization instead of its last, which takes two thirds of
-    the time for HMASD's `init`. What runs once is not optimized at all. The garbage that tracing
-    leaves is collected afterwards: looking for it all the time takes a fourth of the tracing.
+    On a CPU, programs are compiled at LLVM's first level of optimization. HMASD runs as fast as at
+    the last level, and its `init` compiles in two thirds of the time. Garbage is collected after
+    tracing, because the collector would otherwise take a fourth of the tracing time.
+
+    Args:
+        function: Jitted function.
+        *args: Arguments, or their shapes and dtypes.
+        runs_once: If True, optimize nothing on a CPU.
     """
     options: dict[str, str | bool] = {}
     if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
@@ -125,7 +137,7 @@ def build_executable(
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
-    """Whether every float of the learners in `state`, and of `metrics`, is finite."""
+    """Return True if every float in the learners of `state` and in `metrics` is finite."""
     nodes = jax.tree.leaves(state, is_leaf=lambda x: isinstance(x, Learner))
     learners = [node for node in nodes if isinstance(node, Learner)]
     floats = [
@@ -140,9 +152,16 @@ def batched(
     layout: BatchLayout = "vmap",
     in_axes: Sequence[int | None] = (0,),
 ) -> Callable:
-    """`function` over a leading axis of seeds; arguments whose `in_axes` is None are shared.
+    """Map `function` over a leading axis of seeds.
 
-    A single seed is not vmapped: on a CPU a batched matrix product is slower than a plain one.
+    A single seed is not vmapped, because a batched matrix product is slower than a plain one on a
+    CPU.
+
+    Args:
+        function: Function of one seed.
+        num_seeds: Size of the leading axis.
+        layout: Layout of the seeds.
+        in_axes: 0 for each argument with an axis of seeds, None for each that all seeds share.
     """
     in_axes = tuple(in_axes)
     if layout == "sharded":
@@ -165,7 +184,10 @@ def batched(
 
 
 def _sharded(function: Callable, num_seeds: int, in_axes: Sequence[int | None]) -> Callable:
-    """An equal share of the seeds on each device of this process, none of them talking."""
+    """Map over equal shares of the seeds, one per device of this process.
+
+    The devices do not communicate.
+    """
     devices = jax.local_devices()
     mesh = jax.sharding.Mesh(devices, ("seeds",))
     by_seed, shared = jax.P("seeds"), jax.P()
@@ -180,7 +202,7 @@ def _sharded(function: Callable, num_seeds: int, in_axes: Sequence[int | None]) 
 
 
 def _memory_bytes(program: Any) -> int:
-    """Arguments, results and temporaries of an executable; 0 if the backend does not tell."""
+    """Return the size of arguments, results and temporaries; 0 if the backend does not tell."""
     analysis = program.memory_analysis()
     if analysis is None:
         return 0

@@ -1,9 +1,9 @@
-"""One sweep over several processes, say one per node of a cluster, on JAX's own runtime.
+"""One sweep over several processes, e.g. one per node of a cluster, on JAX's own runtime.
 
-Seeds do not talk to each other: each process trains its share on its own cores or accelerators, in
-the layout that it would choose alone; processes on the same cores share them out. All write to the
-same run folder, which must be on a file system that all of them see. The first process prepares the
-folder, shows its own seeds, and sums up when all have ended.
+Seeds do not communicate. Each process trains its share of them on its own cores or accelerators, in
+the layout that it would choose alone. Processes that start on the same cores divide them. All write
+to the same run folder, which must be on a file system that all of them can see. The first process
+prepares the folder, displays its own seeds, and writes the summary when all have ended.
 """
 
 import json
@@ -17,31 +17,33 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.training.loop import Event
+from hmasd_jax.runs.folder import RunError, available_cores, write_json
+from hmasd_jax.training.job import Event
 
 POLL_SECONDS = 1.0
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
-"""Where Linux says which machine this is, in whatever container."""
+"""File in which Linux identifies the running machine, also from within a container."""
 
 
 class Group(NamedTuple):
-    """Which of the processes this is."""
+    """The processes of a sweep, and which of them this one is."""
 
     index: int = 0
+    """Index of this process."""
     size: int = 1
+    """Number of processes."""
 
     @property
     def leads(self) -> bool:
-        """Whether this process prepares and sums up."""
+        """True for the process that prepares the run folder and writes the summary."""
         return self.index == 0
 
     def share(self, seeds: list[int]) -> list[int]:
-        """The seeds of this process."""
+        """Return the seeds of this process."""
         return seeds[self.index :: self.size]
 
     def follow(self, ok: bool) -> bool:
-        """What the leader says, once all processes have come here."""
+        """Wait for all processes and return the leader's `ok`."""
         if self.size == 1:
             return ok
         from jax.experimental import multihost_utils
@@ -50,16 +52,17 @@ class Group(NamedTuple):
 
 
 ALONE = Group()
+"""The group of a process that trains all seeds."""
 
 
 def join() -> Group:
     """Connect the processes that were started together.
 
-    SLURM, Open MPI and others are recognized by JAX; else three environment variables tell:
-    JAX_COORDINATOR_ADDRESS (host:port of the first process), JAX_NUM_PROCESSES, JAX_PROCESS_ID.
+    JAX recognizes SLURM, Open MPI and others. Without them, three environment variables are needed:
+    JAX_COORDINATOR_ADDRESS (host:port of the first process), JAX_NUM_PROCESSES and JAX_PROCESS_ID.
 
     Raises:
-        RunError: nothing tells which processes there are, or they do not find each other.
+        RunError: The processes are not described, or cannot connect.
     """
     count, index = (os.environ.get(name) for name in ("JAX_NUM_PROCESSES", "JAX_PROCESS_ID"))
     try:
@@ -68,7 +71,7 @@ def join() -> Group:
             process_id=None if index is None else int(index),
         )
     except (ValueError, RuntimeError) as error:
-        raise run_folder.RunError(
+        raise RunError(
             f"cannot connect the processes of this sweep: {error}; start it with srun or mpirun, "
             "or set JAX_COORDINATOR_ADDRESS, JAX_NUM_PROCESSES and JAX_PROCESS_ID in each process"
         ) from error
@@ -79,26 +82,27 @@ def join() -> Group:
 
 
 def _divide_cores(group: Group) -> None:
-    """Leave each process that was started on the same cores of the same machine some of its own.
+    """Divide the cores among the processes that were started on the same ones.
 
-    Each would pin its workers to the first of them otherwise. A launcher that gives every process
-    cores of its own has done it already: then nothing changes.
+    Otherwise each process would pin its workers to the first of these cores. Nothing changes if the
+    launcher has given every process its own cores.
     """
     from jax.experimental import multihost_utils
 
-    cores = run_folder.available_cores()
+    cores = available_cores()
     place = np.uint32(zlib.crc32(f"{BOOT_ID.read_text()} {cores}".encode()))
     places = multihost_utils.process_allgather(place).reshape(-1).tolist()
     os.sched_setaffinity(0, share_of_cores(cores, places, group.index))
 
 
 def share_of_cores(cores: list[int], places: Sequence[int], index: int) -> list[int]:
-    """The cores of process `index` among those at the same place; one at least.
+    """Return the cores for one of the processes that share them, at least one.
 
     Args:
-        cores: what the processes at its place may use.
-        places: of every process, equal where they were started on the same cores.
-        index: which process.
+        cores: Cores that the process and its neighbors may use.
+        places: One number per process. It is equal for processes started on the same cores of the
+            same machine.
+        index: Index of the process.
     """
     neighbors = [other for other, place in enumerate(places) if place == places[index]]
     turn = neighbors.index(index)
@@ -106,12 +110,21 @@ def share_of_cores(cores: list[int], places: Sequence[int], index: int) -> list[
 
 
 def gather(group: Group, run: Path, results: dict[int, Event]) -> dict[int, Event]:
-    """How the seeds ended: of all processes for the leader, of their own for the others.
+    """Collect the last events of the seeds of all processes.
 
-    Goes by files, as processes may end hours apart; should one die, JAX's runtime ends the others.
+    The processes exchange files, because they may end hours apart. If one dies, JAX's runtime ends
+    the others.
+
+    Args:
+        group: The processes.
+        run: Folder of the run.
+        results: Last event of each seed of this process.
+
+    Returns:
+        Last event of each seed of all processes for the leader, `results` for the others.
     """
     if not group.leads:
-        run_folder.write_json(_path(run, group.index), list(results.values()))
+        write_json(_path(run, group.index), list(results.values()))
         return results
     for index in range(1, group.size):
         while not _path(run, index).exists():
@@ -123,7 +136,7 @@ def gather(group: Group, run: Path, results: dict[int, Event]) -> dict[int, Even
 
 
 def forget(group: Group, run: Path) -> None:
-    """Remove what an earlier attempt that was not summed up has left."""
+    """Delete the files of an earlier sweep that ended before its summary."""
     for index in range(1, group.size):
         _path(run, index).unlink(missing_ok=True)
 

@@ -1,4 +1,4 @@
-"""How much of a sweep fits into memory at once, and how a worker holds on to its own."""
+"""Memory of the machine: the part of a sweep that fits into it, and settings of malloc."""
 
 import ctypes
 import math
@@ -8,17 +8,18 @@ from pathlib import Path
 import jax
 
 WORKER_BYTES = 2 * 2**30
-"""What a worker holds at its peak, while it compiles (1.9 GiB measured for HMASD)."""
+"""Peak memory of a worker, reached while it compiles (1.9 GiB measured for HMASD)."""
 
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
-"""Of <malloc.h>: how much free memory goes back to the system, and how many blocks bypass it."""
+"""Options of GNU's `mallopt` in <malloc.h>: the free memory at which malloc returns memory to the
+system, and the largest number of blocks to request from the system directly."""
 
 
 def keep_freed() -> None:
-    """Make this process keep the memory that it frees, where it uses GNU's C library.
+    """Make this process keep the memory that it frees, if it uses GNU's C library.
 
-    XLA asks for a program's temporary arrays at every call, and fresh memory from the system comes
-    page by page, each cleared: 3 to 5 % of HMASD's update. The peak grows by 3 % at most.
+    XLA allocates the temporary arrays of a program at every call. The system clears each page of
+    new memory, which takes 3 to 5 % of HMASD's update. The peak grows by 3 % at most.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -29,7 +30,7 @@ def keep_freed() -> None:
 
 
 def available_bytes() -> float:
-    """Memory that is still free on the first local device; infinite where nobody tells."""
+    """Return the free memory of the first local device in bytes; infinity if unknown."""
     device = jax.local_devices()[0]
     stats = device.memory_stats()
     if stats and "bytes_limit" in stats:
@@ -38,7 +39,7 @@ def available_bytes() -> float:
 
 
 def available_host_bytes() -> float:
-    """Memory of this machine that is not in use; infinite where the system does not tell."""
+    """Return the free memory of this machine in bytes; infinity if unknown."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
@@ -48,17 +49,18 @@ def available_host_bytes() -> float:
 
 
 def workers_at_once(wanted: int) -> int:
-    """How many of the workers wanted fit into memory; at least one."""
+    """Return the number of workers that fit into memory, at least 1 and at most `wanted`."""
     free = available_host_bytes()
     return wanted if free == math.inf else max(1, min(wanted, int(free / WORKER_BYTES)))
 
 
 def seeds_at_once(num_seeds: int, bytes_needed: Callable[[int], int]) -> int:
-    """The largest even share of the seeds that fits into memory; at least one.
+    """Return the largest even share of the seeds that fits into memory, at least one seed.
 
     Args:
-        num_seeds: seeds that would like to be trained at once.
-        bytes_needed: what so many seeds need; asked as rarely as possible.
+        num_seeds: Number of seeds to train.
+        bytes_needed: Function from a number of seeds to the memory they need, in bytes. It may be
+            slow, so it is called as rarely as possible.
     """
     free, batches = available_bytes(), 1
     while True:

@@ -1,4 +1,4 @@
-"""What a run shows while it trains: live bars in a terminal, plain lines elsewhere."""
+"""Display of a run in training: live bars in a terminal, plain lines elsewhere."""
 
 import math
 import time
@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from hmasd_jax.training.loop import ENDS, Event
+from hmasd_jax.training.job import ENDS, Event
 
 SHOWN = {
     "success": "success {:.0%}",
@@ -17,30 +17,43 @@ SHOWN = {
     "discriminators/team_accuracy": "q_D {:.0%}",
     "discriminators/individual_accuracy": "q_d {:.0%}",
 }
-"""Metrics that the display shows, where an algorithm has them. H: entropy in nats; q: how often
-a discriminator's first guess is right."""
+"""Metrics to display if the algorithm has them. H is an entropy in nats, q the accuracy of a
+discriminator's most probable skill."""
 PLAIN_SECONDS = 30.0
+"""Shortest time between plain lines with training metrics."""
 
 
 @dataclass
 class Track:
-    """Where one seed stands."""
+    """Progress of one seed."""
 
     env_steps: int = 0
+    """Environment steps done."""
     first: tuple[int, float] | None = None
-    """Environment steps and wall seconds that this session began at."""
+    """Environment steps and wall seconds of the first record since the start of this process."""
     rate: float = 0.0
-    """Environment steps per second of this session, compilation excluded."""
+    """Environment steps per second since `first`."""
     train: dict[str, Any] = field(default_factory=dict)
+    """The newest record of training."""
     eval: dict[str, Any] = field(default_factory=dict)
+    """The newest record of an evaluation."""
     task: TaskID | None = None
+    """The bar."""
     ended: bool = False
+    """True after the last event."""
 
 
 class Display:
-    """Turns events into a live display; a context manager."""
+    """A context manager that displays events."""
 
     def __init__(self, console: Console, seeds: list[int], total_env_steps: int) -> None:
+        """Prepare the display.
+
+        Args:
+            console: Console to write to.
+            seeds: Indices of the seeds.
+            total_env_steps: Environment steps per seed.
+        """
         self._console, self._total = console, total_env_steps
         self._tracks = {seed: Track() for seed in seeds}
         self._last_line = time.monotonic()
@@ -56,21 +69,21 @@ class Display:
         self._all = self._progress.add_task("all", total=total_env_steps * len(seeds), text="")
 
     def __enter__(self) -> "Display":
-        """Start drawing."""
+        """Start the live display."""
         self._progress.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop drawing; the lines stay."""
+        """Stop the live display and leave its last state on the screen."""
         self._progress.stop()
 
     def handle(self, event: Event) -> None:
-        """Take in one event."""
+        """Update the display with one event."""
         track = self._tracks[event.seed]
         if event.kind == "start":
             self._start(event, track)
         elif event.kind == "compiled":
-            self._tell_compilation(event)
+            self._show_compilation(event)
         elif event.kind in ("train", "eval"):
             self._take_record(event, track)
         elif event.kind in ENDS:
@@ -86,7 +99,7 @@ class Display:
         description = f"seed {event.seed}"
         track.task = self._progress.add_task(description, total=self._total, text="compiling")
 
-    def _tell_compilation(self, event: Event) -> None:
+    def _show_compilation(self, event: Event) -> None:
         if not self._compiled:
             self._compiled = True
             seconds, size = event.data["seconds"], event.data["memory_bytes"]
@@ -130,7 +143,7 @@ class Display:
             self._progress.update(track.task, completed=track.env_steps, text=text)
 
     def _describe(self, track: Track) -> str:
-        """Speed, remaining time and metrics of one seed."""
+        """Return speed, remaining time and metrics of one seed as text."""
         parts = []
         if track.rate:
             remaining = (self._total - track.env_steps) / track.rate
@@ -145,7 +158,7 @@ class Display:
         return "  ".join(parts)
 
     def _describe_all(self) -> str:
-        """Speed and remaining time of everything."""
+        """Return speed and remaining time of all seeds as text."""
         running = [t for t in self._tracks.values() if not t.ended]
         rate = sum(t.rate for t in running)
         if not rate:
@@ -158,6 +171,6 @@ class Display:
 
 
 def clock(seconds: float) -> str:
-    """Hours, minutes and seconds as h:mm:ss."""
+    """Format a duration as h:mm:ss."""
     minutes, seconds = divmod(round(seconds), 60)
     return f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"

@@ -1,4 +1,4 @@
-"""What follows from a configuration: counts of updates, and when to log, evaluate and save."""
+"""Schedule of a run in updates: its length, and the intervals of logs and checkpoints."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,21 @@ from hmasd_jax.config import TrainConfig
 
 @dataclass(frozen=True)
 class Plan:
-    """A run in units of updates. Evaluations and checkpoints fall on multiples of `log_every`."""
+    """Length and intervals of a run in updates.
+
+    Evaluations and checkpoints fall on multiples of `log_every`.
+    """
 
     env_steps_per_update: int
+    """Environment steps per update."""
     num_updates: int
+    """Updates of the whole run."""
     log_every: int
+    """Updates between records of training metrics."""
     eval_every: int
+    """Updates between evaluations."""
     checkpoint_every: int
+    """Updates between checkpoints."""
 
     @property
     def env_steps(self) -> int:
@@ -22,24 +30,24 @@ class Plan:
 
     @property
     def num_evaluations(self) -> int:
-        """Evaluations of the whole run, the ones at step 0 and at the end included."""
+        """Evaluations of the whole run, including those at step 0 and at the end."""
         return 1 + -(-self.num_updates // self.eval_every)
 
     def next_stop(self, updates: int) -> int:
-        """The update after `updates` at which the host has something to do."""
+        """Return the first update after `updates` at which the host logs metrics."""
         return min((updates // self.log_every + 1) * self.log_every, self.num_updates)
 
     def is_due(self, every: int, updates: int) -> bool:
-        """Whether something that happens every so many updates and at the end happens now."""
+        """Return True if `updates` is a multiple of `every` or the end of the run."""
         return updates % every == 0 or updates == self.num_updates
 
 
 def make_plan(config: TrainConfig) -> Plan:
-    """Round the intervals of `config` (environment steps) to updates.
+    """Convert the intervals of `config` from environment steps to updates.
 
-    The evaluation interval is kept as exactly as whole updates allow. The interval of logging is
-    its largest divisor that is not longer than asked for, so that each line of metrics is pooled
-    over whole stretches between two stops, wherever a run is interrupted and resumed.
+    The evaluation interval is rounded to whole updates. The log interval is the largest divisor of
+    it that is not longer than the one in `config`. Each record of metrics then covers the same
+    updates, wherever a run is interrupted and resumed.
     """
     per_update = config.env_steps_per_update
     eval_every = max(1, round(config.eval_interval / per_update))

@@ -1,8 +1,9 @@
-"""Seeds over the cores of one machine: the layout `workers`.
+"""The layout `workers`: seeds over the cores of one machine.
 
-One single-threaded process per core trains one seed after the other. At the sizes of the paper this
-is the fastest way to use a CPU: threads inside one process waste about a quarter of each core, and
-vmapping over seeds costs more still. The other layouts are one program each, see `programs`.
+One single-threaded process per core trains one seed after the other. For networks of the paper's
+size this is the fastest way to use a CPU. Threads inside one process waste about a quarter of each
+core, and vmapping over seeds wastes more. In the other layouts, one program trains all seeds; see
+`compiled`.
 """
 
 import multiprocessing
@@ -18,71 +19,75 @@ from pathlib import Path
 
 import jax
 
-from hmasd_jax import config as configs
-from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.training import host_memory as memory
-from hmasd_jax.training.loop import ENDS, Event, Job, choose_layout, train_seeds
+from hmasd_jax.config import build, from_json, to_json
+from hmasd_jax.runs.folder import available_cores, seed_folder
+from hmasd_jax.training.host_memory import keep_freed, workers_at_once
+from hmasd_jax.training.job import ENDS, Event, Job
+from hmasd_jax.training.loop import train_seeds
 
 POLL_SECONDS = 0.5
 
 
-def run_sweep(job: Job, indices: list[int]) -> dict[int, Event]:
-    """Train the seeds in the layout that the configuration asks for; how each ended."""
-    if choose_layout(job.config) != "workers":
-        return train_seeds(job, indices)
-    return run_workers(job, indices, worker_cores(len(indices)))
-
-
 def worker_cores(num_seeds: int) -> list[int]:
-    """The cores that a sweep of so many seeds gets workers on."""
-    cores = run_folder.available_cores()[:num_seeds]
-    return cores[: memory.workers_at_once(len(cores))]
+    """Return the cores for the workers of a sweep, as many as the seeds and the memory allow."""
+    cores = available_cores()[:num_seeds]
+    return cores[: workers_at_once(len(cores))]
 
 
 @dataclass
 class Worker:
-    """A process on a core of its own, the pipe to it, and the seed it is at."""
+    """A process that trains one seed after the other on its own core."""
 
     process: BaseProcess
     pipe: Connection
+    """Sends indices of seeds to the process and receives its events."""
     core: int
     seed: int
+    """Index of the seed in training; -1 if there is none."""
 
     @classmethod
     def start(cls, job: Job, core: int, seed: int) -> "Worker":
         """Start a process and give it its first seed."""
         context = multiprocessing.get_context("spawn")  # a fork would inherit jax's threads
         pipe, other = context.Pipe()
-        arguments = (other, job.run, configs.to_json(job.config), job.extras, core)
+        arguments = (other, job.run, to_json(job.config), job.loggers, core)
         process = context.Process(target=work, args=arguments, name=f"worker on core {core}")
         process.start()
-        other.close()  # so that the pipe ends when the process does
+        other.close()  # the pipe then closes when the process ends
         pipe.send(seed)
         return cls(process, pipe, core, seed)
 
     def assign(self, seed: int | None) -> None:
-        """Hand over the next seed; None sends the worker home."""
+        """Send the next seed to the worker; None tells it to exit."""
         self.seed = -1 if seed is None else seed
-        with suppress(OSError):  # it may have died: its pipe will say so
+        with suppress(OSError):  # a dead worker is noticed when its pipe is read
             self.pipe.send(seed)
 
 
 def run_workers(job: Job, indices: list[int], cores: list[int]) -> dict[int, Event]:
-    """Deal the seeds out to one process per core.
+    """Train the seeds in one process per core.
 
-    A worker that dies takes only its current seed with it; another is started in its place.
+    If a worker dies, only its current seed fails, and a new worker replaces it.
+
+    Args:
+        job: The run to train.
+        indices: Indices of the seeds.
+        cores: Cores to start workers on.
+
+    Returns:
+        The last event of each seed, of kind `finished`, `interrupted` or `failed`.
     """
     waiting = deque(indices)
     workers = [Worker.start(job, core, waiting.popleft()) for core in cores[: len(indices)]]
     try:
         return _serve(job, workers, waiting)
     finally:
-        for worker in workers:  # after an error: at the end of its pipe a worker saves and stops
+        for worker in workers:  # after an error; a worker whose pipe closes saves and stops
             worker.pipe.close()
 
 
 def _serve(job: Job, workers: list[Worker], waiting: deque[int]) -> dict[int, Event]:
-    """Hand out the seeds in `waiting`, and pass events on, until no worker is left."""
+    """Assign the seeds in `waiting` and report all events until no worker is left."""
     results, stopping = {}, False
     while workers:
         for worker in _with_news(workers):
@@ -111,13 +116,13 @@ def _serve(job: Job, workers: list[Worker], waiting: deque[int]) -> dict[int, Ev
 
 
 def _with_news(workers: list[Worker]) -> list[Worker]:
-    """Workers that have sent something or ended."""
+    """Return the workers that have sent an event or ended."""
     ready = wait([worker.pipe for worker in workers], timeout=POLL_SECONDS)
     return [worker for worker in workers if worker.pipe in ready]
 
 
 def _receive(worker: Worker) -> Event | None:
-    """The next event, None if there will be no more."""
+    """Return the next event, or None if the process has ended."""
     try:
         return worker.pipe.recv()
     except (EOFError, OSError):
@@ -126,7 +131,7 @@ def _receive(worker: Worker) -> Event | None:
 
 
 def _death(worker: Worker) -> Event:
-    """The failure of the seed that a worker died at."""
+    """Return the event for the seed that was in training when its worker died."""
     code = worker.process.exitcode or 0
     how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"exited with {code}"
     hint = " (out of memory?)" if code == -signal.SIGKILL else ""
@@ -134,25 +139,40 @@ def _death(worker: Worker) -> Event:
 
 
 def pin(core: int) -> None:
-    """Compute on one core, in one thread, keeping freed memory; before JAX computes anything."""
+    """Restrict this process to one core and one thread, and make it keep freed memory.
+
+    This has no effect on JAX after its first computation.
+    """
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {core})
     flags = os.environ.get("XLA_FLAGS", "")
     os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_multi_thread_eigen=false".strip()
     jax.config.update("jax_platforms", "cpu")
-    memory.keep_freed()
+    keep_freed()
 
 
-def work(pipe: Connection, run: Path, config: dict, extras: tuple[str, ...], core: int) -> None:
-    """Train the seeds that come through the pipe, until None or its end comes."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent, which tells us
+def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], core: int) -> None:
+    """Train the seeds that arrive through the pipe, until it sends None or closes.
+
+    This is the main function of a worker process.
+
+    Args:
+        pipe: Receives indices of seeds and sends events.
+        run: Folder of the run.
+        table: Configuration of the run, from `to_json`.
+        loggers: Loggers beside the JSON lines.
+        core: Core to compute on.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
     pin(core)
 
     def report(event: Event) -> None:
-        with suppress(OSError):  # without a parent nobody listens; `poll` then says to stop
+        with suppress(OSError):  # the parent is gone; `poll` then returns True
             pipe.send(event)
 
-    job = Job(run, configs.from_json(config), extras, report, should_stop=pipe.poll)
+    config = from_json(table)
+    env, algorithm = build(config)
+    job = Job(run, config, env, algorithm, loggers, report, should_stop=pipe.poll)
     while True:
         try:
             index = pipe.recv()
@@ -163,7 +183,7 @@ def work(pipe: Connection, run: Path, config: dict, extras: tuple[str, ...], cor
         try:
             train_seeds(job, [index])
         except Exception as error:
-            path = run_folder.seed_folder(run, index) / "error.txt"
+            path = seed_folder(run, index) / "error.txt"
             with suppress(OSError):
                 path.write_text(traceback.format_exc())
             summary = str(error).splitlines()[0] if str(error) else type(error).__name__
