@@ -1,12 +1,14 @@
-"""Side by side with JaxMARL, alternating in one process on one core.
+"""Compare environments and training with JaxMARL, alternating in one process on one core.
 
 python benchmarks/compare.py [--jaxmarl CHECKOUT] [--json]        (needs the extra `compare`)
 
-Environments: random play in ours and in what JaxMARL's package has for the same game, with 32 and
-with 1024 copies; observations and resets included. Training, given a checkout of JaxMARL
-(its trainers are not in its package): one update of our HMASD and of our MAPPO, with two agents on
-Alice_and_Bob and with three on 3m, against one of its MAPPO-RNN on SMAX 3m, at the same 32 copies x
-100 steps, 15 epochs, one minibatch, hidden and GRU width 64.
+Environments: random play in ours and in JaxMARL's version of the same game, with 32 and with 1024
+copies, observations and resets included.
+
+Training, with a checkout of JaxMARL (its package does not contain its trainers): one update of our
+HMASD and of our MAPPO, with two agents on Alice_and_Bob and with three on 3m, against one update of
+its MAPPO-RNN on SMAX 3m. All use 32 copies x 100 steps, 15 epochs, one minibatch, and width 64 for
+hidden layers and GRU.
 """
 
 import sys
@@ -20,7 +22,7 @@ import jax
 import envs_jax
 from benchmarks.environments import random_play
 from benchmarks.measure import Row, alternate, compiled, isolated, jitted, parser, report
-from benchmarks.training import settings
+from benchmarks.training import preset
 from hmasd_jax import config as configs
 from hmasd_jax.runs import folder as run_folder
 
@@ -37,7 +39,7 @@ PAIRS = [
     )
 ]
 PAIRS += [("micro_battle", {"scenario": "3m"}, *SMAX), ("alice_and_bob", {}, *SMAX)]
-"""Name and options here, and there. Nothing there is like Alice_and_Bob."""
+"""Our environment and options, and JaxMARL's; SMAX stands in for Alice_and_Bob, which it lacks."""
 THEIR_TRAINER = Path("baselines/MAPPO/mappo_rnn_smax.py")
 THEIR_SETTINGS = {
     "LR": 5e-4,
@@ -63,11 +65,11 @@ THEIR_SETTINGS = {
 }
 
 Contender = tuple[Callable[[], Any], float, int]
-"""What to call, the seconds it took to compile, and environment steps per call."""
+"""A call, the seconds that it took to compile, and its number of environment steps."""
 
 
 def race(contenders: dict[str, Contender], repeats: int) -> list[Row]:
-    """Time all contenders in turn; a row each."""
+    """Time all contenders in turn and return a row for each."""
     timings = alternate({name: call for name, (call, _, _) in contenders.items()}, repeats)
     return [
         Row(name, compile_s=compile_s, **timings[name].rates(env_steps))
@@ -76,7 +78,7 @@ def race(contenders: dict[str, Contender], repeats: int) -> list[Row]:
 
 
 def bench_environments(pair: tuple, copies: int, env_steps: int, repeats: int) -> list[Row]:
-    """Random play in ours and theirs."""
+    """Measure random play in ours and theirs."""
     name, options, their_name, their_options = pair
     steps = max(env_steps // copies, 10)
     titles = (" ".join([x, *map(str, o.values())]) for x, o in (pair[:2], pair[2:]))
@@ -118,7 +120,7 @@ def _their_play(name: str, options: dict[str, Any], copies: int, steps: int) -> 
 def bench_training(
     games: Sequence[str], algorithms: Sequence[str], checkout: Path, quick: bool, repeats: int
 ) -> list[Row]:
-    """One update of each of ours, and theirs."""
+    """Measure one update of each of ours, and of theirs."""
     contenders = {
         f"{algorithm} on {game}, one update": _our_training(game, algorithm, quick)
         for game in games
@@ -129,8 +131,8 @@ def bench_training(
 
 
 def _our_training(env: str, algorithm: str, quick: bool) -> Contender:
-    """One update at the paper's settings."""
-    config = settings(env, algorithm, quick)
+    """Compile one update at the paper's settings."""
+    _, config = preset(env, algorithm, quick)
     _, learner = configs.build(config)
     state = jax.jit(learner.init)(jax.random.key(0))
     update, compile_s = compiled(learner.update, state)
@@ -138,12 +140,14 @@ def _our_training(env: str, algorithm: str, quick: bool) -> Contender:
 
 
 def _their_training(checkout: Path, updates: int) -> Contender:
-    """Their trainer for several updates; loading and initializing its nets hardly counts."""
+    """Compile their trainer for several updates, so that its initialization hardly counts."""
     source = (checkout / THEIR_TRAINER).read_text()
     width = THEIR_SETTINGS["GRU_HIDDEN_DIM"]
-    fixed = 'initialize_carry(config["NUM_ACTORS"], 128)'  # hard-coded whatever the setting
+    fixed = 'initialize_carry(config["NUM_ACTORS"], 128)'  # this width ignores the settings
     if fixed not in source:
-        raise SystemExit(f"{checkout / THEIR_TRAINER} is not the version this was written for")
+        raise SystemExit(
+            f"{checkout / THEIR_TRAINER} does not contain {fixed!r}: check out JaxMARL at c793d09"
+        )
     stubs = {
         "wandb": SimpleNamespace(log=lambda *args, **kwargs: None),
         "hydra": SimpleNamespace(main=lambda **_: lambda function: function),
@@ -151,7 +155,7 @@ def _their_training(checkout: Path, updates: int) -> Contender:
     }
     trainer = ModuleType("their_trainer")
     saved = {name: sys.modules.get(name) for name in stubs}
-    sys.modules.update(stubs)  # they only serve its command line and its logging
+    sys.modules.update(stubs)  # needed only by its command line and its logging
     try:
         exec(source.replace(fixed, fixed.replace("128", str(width))), trainer.__dict__)
     finally:
@@ -166,8 +170,9 @@ def _their_training(checkout: Path, updates: int) -> Contender:
 def main() -> None:
     """Run the benchmark from the command line."""
     options = parser(__doc__)
-    options.set_defaults(env=None, algorithm=None)  # all of `GAMES` and `ALGORITHMS`
     options.add_argument("--jaxmarl", type=Path, help="a checkout of JaxMARL, to compare training")
+    options.add_argument("--env", nargs="+", choices=GAMES, default=GAMES, help="ours to train on")
+    options.add_argument("--algorithm", nargs="+", choices=ALGORITHMS, default=ALGORITHMS)
     args = options.parse_args()
     core = run_folder.available_cores()[0]
     env_steps = 20 if args.quick else 200_000
@@ -176,9 +181,7 @@ def main() -> None:
         for copies in (2,) if args.quick else (32, 1024):
             rows += isolated(bench_environments, pair, copies, env_steps, args.repeats, core=core)
     if args.jaxmarl:
-        games = [args.env] if args.env else GAMES
-        algorithms = [args.algorithm] if args.algorithm else ALGORITHMS
-        work = games, algorithms, args.jaxmarl, args.quick, args.repeats
+        work = args.env, args.algorithm, args.jaxmarl, args.quick, args.repeats
         rows += isolated(bench_training, *work, core=core)
     report(rows, args.json)
 

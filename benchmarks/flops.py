@@ -1,4 +1,4 @@
-"""Floating point operations of matrix products: of a function, and what the machine reaches."""
+"""Floating point operations of matrix products: those of a function, and the machine's rate."""
 
 import math
 from collections.abc import Callable
@@ -10,14 +10,15 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from benchmarks.measure import measure
 
 ROWS, WIDTH = 9600, 64
-"""A batch and a layer as in training at the paper's sizes."""
+"""Rows of a batch and width of a layer in training at the paper's sizes."""
 
 
 def matmul_flops(function: Callable, *args: Any) -> float:
-    """Multiplications and additions in the matrix products of `function(*args)`.
+    """Count multiplications and additions in the matrix products of `function(*args)`.
 
-    Loops count as often as they run (those whose number of rounds depends on data count once), and
-    conditions as their cheapest branch, so that skills are never counted as drawn at every step.
+    The body of a loop counts once per round, or once if the number of rounds depends on data. A
+    conditional counts as its cheapest branch: HMASD assigns skills in a conditional, which rarely
+    takes the expensive branch.
     """
     return _flops(jax.make_jaxpr(function)(*args).jaxpr)
 
@@ -41,7 +42,7 @@ def _flops(jaxpr: Jaxpr) -> float:
 
 
 def _jaxprs(value: Any) -> list[Jaxpr]:
-    """The programs in a parameter of an equation."""
+    """Return the programs in a parameter of an equation."""
     if isinstance(value, ClosedJaxpr):
         return [value.jaxpr]
     if isinstance(value, Jaxpr):
@@ -52,7 +53,7 @@ def _jaxprs(value: Any) -> list[Jaxpr]:
 
 
 def ceiling_gflops(repeats: int) -> float:
-    """GFLOP per CPU-second of a layer's three products: forward, and the gradients of x and W."""
+    """Measure GFLOP per CPU-second of a layer's products: forward, and gradients of x and W."""
     key_x, key_w, key_y = jax.random.split(jax.random.key(0), 3)
     x = jax.random.normal(key_x, (ROWS, WIDTH))
     w = jax.random.normal(key_w, (WIDTH, WIDTH))
@@ -68,7 +69,7 @@ def ceiling_gflops(repeats: int) -> float:
 
 
 def _seconds(product: Callable, args: tuple, repeats: int) -> float:
-    """Processor time of one product, which takes a hundred times as long as calling it."""
-    calls = 100
+    """Measure the CPU-seconds of one product."""
+    calls = 100  # timed together, because a clock cannot resolve a single product
     program = jax.jit(product)
     return measure(lambda: [program(*args) for _ in range(calls)], repeats).cpu / calls

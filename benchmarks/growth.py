@@ -1,8 +1,8 @@
-"""Time and memory of one update of HMASD as copies, agents and the rollout grow.
+"""Measure time and memory of one update of HMASD as copies, agents and the rollout grow.
 
 python benchmarks/growth.py [--minibatches 16] [--out results/benchmarks/growth.png] [--json]
 
-One core; everything but the size that grows is as in the paper's Alice_and_Bob.
+Runs on one core. All sizes but the one that grows are those of the paper's Alice_and_Bob.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ BASE = {"num_envs": 32, "num_agents": 2, "rollout_length": 100}
 
 @dataclass(frozen=True)
 class Noise:
-    """Random numbers for any number of agents, in the sizes of Alice_and_Bob."""
+    """Environment of random numbers for any number of agents, in the sizes of Alice_and_Bob."""
 
     num_agents: int
     num_actions: ClassVar[int] = 5
@@ -38,14 +38,14 @@ class Noise:
     max_steps: ClassVar[int] = 100
 
     def reset(self, key: jax.Array) -> tuple[jax.Array, TimeStep]:
-        """Start an episode; the simulator's state is the step."""
-        return jnp.int32(0), self._look(key, jnp.int32(0))
+        """Start an episode; the simulator's state is the number of steps taken."""
+        return jnp.int32(0), self._timestep(key, jnp.int32(0))
 
     def step(self, key: jax.Array, state: jax.Array, action: jax.Array):
-        """Go on, whatever the action."""
-        return state + 1, self._look(key, state + 1)
+        """Take a step, whatever the action."""
+        return state + 1, self._timestep(key, state + 1)
 
-    def _look(self, key: jax.Array, time: jax.Array) -> TimeStep:
+    def _timestep(self, key: jax.Array, time: jax.Array) -> TimeStep:
         key_obs, key_state, key_reward = jax.random.split(key, 3)
         return TimeStep(
             obs=jax.random.normal(key_obs, (self.num_agents, self.obs_dim)),
@@ -59,7 +59,7 @@ class Noise:
 
 
 def bench(what: str, size: int, minibatches: int, quick: bool, repeats: int) -> Row:
-    """One update with `what` at `size`."""
+    """Measure one update with `what` at `size`, and all else as in `BASE`."""
     sizes = BASE | ({"num_envs": 1, "rollout_length": 50} if quick else {}) | {what: size}
     env = Noise(sizes["num_agents"])
     ppo = PPOConfig(
@@ -82,7 +82,7 @@ def bench(what: str, size: int, minibatches: int, quick: bool, repeats: int) -> 
 
 
 def draw(rows: list[Row], out: Path) -> None:
-    """Seconds of an update, and memory, against each size; the dotted line is proportional."""
+    """Plot seconds per update and memory against each size, with a dotted line in proportion."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,4 @@
-"""What the benchmarks share: clocks, processes of their own, and rows of results."""
+"""Common parts of the benchmarks: clocks, processes of their own, and rows of results."""
 
 import argparse
 import dataclasses
@@ -17,17 +17,19 @@ import jax
 from rich.console import Console
 from rich.table import Table
 
+from envs_jax.registry import ENVIRONMENTS
+from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.training import compiled as programs
-from hmasd_jax.training import workers as sweep
+from hmasd_jax.training.compiled import build_executable
+from hmasd_jax.training.workers import pin
 
 ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
-"""What a table says of the machine, of all that `run_folder.describe` knows."""
+"""Entries of `run_folder.describe` that a table shows."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement; None is what does not apply."""
+    """One measurement; fields that do not apply are None."""
 
     name: str
     env: str | None = None
@@ -37,13 +39,17 @@ class Row:
     env_steps_per_s: float | None = None
     env_steps_per_cpu_s: float | None = None
     gflops: float | None = None
-    """Matrix products only, per second of processor time."""
+    """Floating point operations of matrix products, 1e9 per CPU-second."""
     ceiling_gflops: float | None = None
-    """What small matrix products alone reach on the same cores, measured in the same process."""
+    """Rate of small matrix products alone on the same cores, measured in the same process."""
     compile_s: float | None = None
     peak_rss_mb: float | None = None
     spread: float | None = None
     """(slowest - fastest) / median of the repeats."""
+    ratio: float | None = None
+    """Work per CPU-second relative to the reference."""
+    ratio_interval: tuple[float, float] | None = None
+    """95 % bootstrap interval of `ratio` over the repeats."""
 
 
 class Timing(NamedTuple):
@@ -54,7 +60,7 @@ class Timing(NamedTuple):
     spread: float
 
     def rates(self, env_steps: float) -> dict[str, float]:
-        """The columns of a row that follow for so many environment steps."""
+        """Return the columns of a `Row` for a call that makes `env_steps` environment steps."""
         return {
             "env_steps_per_s": env_steps / self.wall,
             "env_steps_per_cpu_s": env_steps / self.cpu,
@@ -63,12 +69,12 @@ class Timing(NamedTuple):
 
 
 def measure(run: Callable[[], Any], repeats: int) -> Timing:
-    """Time `run` after one call that does not count; its result is waited for."""
+    """Time `run`, its result included, after one call that does not count."""
     return alternate({"": run}, repeats)[""]
 
 
 def alternate(runs: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Timing]:
-    """Time all of `runs` in turn, `repeats` times over, as `measure` does."""
+    """Time all of `runs` in turn, `repeats` times, after one call of each that does not count."""
     clocks: dict[str, list[tuple[float, float]]] = {name: [] for name in runs}
     for run in runs.values():
         jax.block_until_ready(run())
@@ -86,34 +92,34 @@ def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
 
 
 def compiled(function: Callable, *args: Any, runs_once: bool = False) -> tuple[Callable, float]:
-    """The executable that the trainer would use, and the seconds to trace and compile it."""
+    """Compile as the trainer does; return the executable and the seconds to trace and compile."""
     start = time.perf_counter()
-    executable = programs.build_executable(jax.jit(function), *args, runs_once=runs_once)
+    executable = build_executable(jax.jit(function), *args, runs_once=runs_once)
     return executable, time.perf_counter() - start
 
 
 def jitted(function: Callable, *args: Any) -> tuple[Callable, float]:
-    """The same with JAX's own settings, as everybody else's code is compiled."""
+    """Compile with JAX's own settings; return the executable and the seconds, as `compiled`."""
     start = time.perf_counter()
     return jax.jit(function).lower(*args).compile(), time.perf_counter() - start
 
 
 def peak_rss_mb() -> float:
-    """The largest memory that this process has ever held."""
+    """Return the largest resident memory that this process has had, in MB."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def isolated(function: Callable[..., Any], *args: Any, core: int | None = None) -> Any:
-    """`function(*args)` in a fresh process, for memory and threads of its own.
+    """Return `function(*args)`, computed in a fresh process with its own memory and threads.
 
     Args:
-        function: of a module, so that it can be found again.
-        args: what can be pickled.
-        core: the processor core to stay on, in one thread; all cores if None.
+        function: a function at the top level of a module, so that it can be pickled.
+        args: arguments that can be pickled.
+        core: processor core to use, with one thread; None uses all cores.
 
     Raises:
-        RuntimeError: the process failed; it has told why.
+        RuntimeError: the process failed; its error message is on standard error.
     """
     context = multiprocessing.get_context("spawn")
     pipe, other = context.Pipe(duplex=False)
@@ -123,33 +129,44 @@ def isolated(function: Callable[..., Any], *args: Any, core: int | None = None) 
     try:
         return pipe.recv()
     except EOFError as error:
-        raise RuntimeError(f"{function.__name__}{args} failed") from error
+        raise RuntimeError(f"{function.__name__}{args} failed: see the error above") from error
     finally:
         process.join()
 
 
 def _answer(pipe, core, function, args) -> None:
-    os.dup2(2, 1)  # whatever a library prints is not a result
+    os.dup2(2, 1)  # standard output is for rows alone, so libraries print to standard error
     if core is not None:
-        sweep.pin(core)
+        pin(core)
     pipe.send(function(*args))
 
 
 def parser(description: str | None) -> argparse.ArgumentParser:
-    """The options that all benchmarks have."""
+    """Return a parser with the options of all benchmarks."""
     parser = argparse.ArgumentParser(description=(description or "").splitlines()[0])
-    parser.add_argument("--env", default="alice_and_bob", help="environment (default: %(default)s)")
-    parser.add_argument("--algorithm", default="hmasd", help="algorithm (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, nargs="+", help="numbers of seeds to train at once")
-    parser.add_argument("--layout", nargs="+", help="layouts of seeds")
     parser.add_argument("--repeats", type=int, default=5, help="repeats (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print one JSON object per row")
-    parser.add_argument("--quick", action="store_true", help="tiny sizes: only whether it runs")
+    parser.add_argument("--quick", action="store_true", help="tiny sizes, to see that it runs")
     return parser
 
 
+def training_parser(description: str | None) -> argparse.ArgumentParser:
+    """Return a parser with the options of all benchmarks, and those of what to train."""
+    options = parser(description)
+    options.add_argument(
+        "--env", default="alice_and_bob", choices=ENVIRONMENTS, help="default: %(default)s"
+    )
+    options.add_argument(
+        "--algorithm", default="hmasd", choices=ALGORITHMS, help="default: %(default)s"
+    )
+    return options
+
+
 def report(rows: Iterable[Row], as_json: bool) -> None:
-    """Print rows: as JSON as they come, or as one table under what they were measured on."""
+    """Print each row as JSON as soon as it is measured, or all as one table under a heading.
+
+    The heading names the machine, and the values that all rows share.
+    """
     if as_json:
         for row in rows:
             print(json.dumps(dataclasses.asdict(row)), flush=True)
@@ -170,9 +187,11 @@ def report(rows: Iterable[Row], as_json: bool) -> None:
 
 
 def text(value: Any) -> str:
-    """A value in a table."""
+    """Format a value for a table."""
     if value is None:
         return ""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(map(text, value))}]"
     if not isinstance(value, float):
         return str(value)
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -1,9 +1,9 @@
-"""How throughput grows with the number of seeds, for each layout of a sweep.
+"""Measure throughput against the number of seeds, for each layout of a sweep.
 
 python benchmarks/seeds.py [--seeds 1 2 4] [--layout workers vmap map sharded] [--json]
 
-On a CPU the row with one seed in the layout `workers` is one seed pinned to one core: what the
-others are compared with. `sharded` takes each core for a device.
+On a CPU, one seed in the layout `workers` is pinned to one core; its row is the reference for the
+others. The layout `sharded` treats each core as a device.
 """
 
 import math
@@ -14,8 +14,17 @@ from typing import Any
 
 import jax
 
-from benchmarks.measure import Row, Timing, compiled, isolated, measure, parser, peak_rss_mb, report
-from benchmarks.training import settings
+from benchmarks.measure import (
+    Row,
+    Timing,
+    compiled,
+    isolated,
+    measure,
+    peak_rss_mb,
+    report,
+    training_parser,
+)
+from benchmarks.training import preset
 from hmasd_jax import config as configs
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.training.compiled import BatchLayout, batched
@@ -24,7 +33,7 @@ LAYOUTS = ("workers", "vmap", "map", "sharded")
 
 
 def in_one_program(config: Any, seeds: int, layout: BatchLayout, devices: int, repeats: int) -> Row:
-    """All seeds in one process and one program."""
+    """Measure an update of all seeds in one process and one program."""
     if layout == "sharded":
         flags = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}"
@@ -37,7 +46,7 @@ def in_one_program(config: Any, seeds: int, layout: BatchLayout, devices: int, r
 
 
 def with_workers(config: Any, seeds: int, cores: list[int], repeats: int) -> Row:
-    """A process per core, each with its share of the seeds one after the other."""
+    """Measure an update of all seeds with a process per core, which trains its share in turn."""
     cores = cores[:seeds]
     shares = [len(range(worker, seeds, len(cores))) for worker in range(len(cores))]
     barrier = multiprocessing.get_context("spawn").Barrier(len(cores))
@@ -59,7 +68,7 @@ def _work(config: Any, seeds: int, repeats: int, barrier: Any) -> tuple[Timing, 
     _, learner = configs.build(config)
     state = jax.jit(learner.init)(jax.random.key(0))
     update, compile_s = compiled(learner.update, state)
-    barrier.wait()  # nobody is timed while another still compiles
+    barrier.wait()  # no process is timed while another one still compiles
 
     def one_after_the_other() -> None:
         for _ in range(seeds):
@@ -84,8 +93,11 @@ def _row(config, seeds, layout, timing, compile_s, peak) -> Row:
 
 def main() -> None:
     """Run the benchmark from the command line."""
-    args = parser(__doc__).parse_args()
-    config = settings(args.env, args.algorithm, args.quick)
+    options = training_parser(__doc__)
+    options.add_argument("--seeds", type=int, nargs="+", help="numbers of seeds to train at once")
+    options.add_argument("--layout", nargs="+", choices=LAYOUTS, help="default: all that apply")
+    args = options.parse_args()
+    _, config = preset(args.env, args.algorithm, args.quick)
     cores = run_folder.available_cores()
     on_cpu = jax.default_backend() == "cpu"
     devices = len(cores) if on_cpu else jax.local_device_count()

@@ -1,22 +1,26 @@
-"""Train one update of HMASD for every line of standard input; answer with its CPU-seconds.
+"""Train one update for every line of standard input, and answer with its CPU-seconds.
 
-Run by versions.py with the package of some commit on PYTHONPATH, so it keeps to what all have. The
-first line of the answer is what compiling `init` and `update` took.
+python benchmarks/serve_update.py '{"env.name": "alice_and_bob", "algorithm.name": "hmasd"}'
+
+The argument is a JSON object of settings by dotted name. The first line of the answer is the
+CPU-seconds that it took to compile `init` and `update`. versions.py runs this file with the package
+of some commit on PYTHONPATH, so it imports only what all commits have, and compiles with JAX's own
+settings.
 """
 
+import json
 import sys
 import time
 
 import jax
 
-import envs_jax
-from hmasd_jax.hmasd import HMASDConfig, make_hmasd
+from hmasd_jax import config as configs
 
 
 def main() -> None:
     """Serve until standard input ends."""
+    _, algorithm = configs.build(configs.load(overrides=json.loads(sys.argv[1])))
     start = time.process_time()
-    algorithm = make_hmasd(envs_jax.make(sys.argv[1]), HMASDConfig())
     state = jax.block_until_ready(jax.jit(algorithm.init)(jax.random.key(0)))
     update = jax.jit(algorithm.update).lower(state).compile()
     print(time.process_time() - start, flush=True)

@@ -1,9 +1,9 @@
-"""Environment steps per second of whole updates on one core, and where the time goes.
+"""Measure environment steps per second of whole updates on one core, and of their parts.
 
 python benchmarks/training.py [--env alice_and_bob] [--algorithm hmasd] [--json]
 
-The first two rows are compiled with all cores, as a run is that has them; all that follows is
-compiled and run on one. The row `update` is one update at the paper's settings; for HMASD its parts
+The first two rows are compiled on all cores, as in a run that has them. All other rows are compiled
+and run on one core. The row `update` is one update at the paper's settings. For HMASD its parts
 follow, each computed alone. GFLOP count matrix products only.
 """
 
@@ -13,51 +13,62 @@ from typing import Any
 
 import jax
 
-import envs_jax
 from benchmarks.flops import ceiling_gflops, matmul_flops
-from benchmarks.measure import Row, compiled, isolated, measure, parser, peak_rss_mb, report
+from benchmarks.measure import (
+    Row,
+    compiled,
+    isolated,
+    measure,
+    peak_rss_mb,
+    report,
+    training_parser,
+)
 from hmasd_jax import config as configs
+from hmasd_jax.hmasd import algorithm as hmasd
+from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
+from hmasd_jax.hmasd.components import make_parts
+from hmasd_jax.hmasd.rollout_phase import collect
+from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.runs import folder as run_folder
 
 QUICK = {"algorithm.ppo.num_envs": 2, "algorithm.ppo.num_epochs": 1}
 
 
-def settings(env: str, algorithm: str, quick: bool, **overrides: Any) -> configs.TrainConfig:
-    """The preset of `algorithm` on `env`, or a tiny version of it."""
-    names = {"env.name": env, "algorithm.name": algorithm}
-    return configs.load(overrides=names | (QUICK if quick else {}) | overrides)
+def preset(env: str, algorithm: str, quick: bool) -> tuple[dict[str, Any], configs.TrainConfig]:
+    """Return the paper's settings of `algorithm` on `env`, or a tiny version if `quick`.
+
+    Returns:
+        Values by dotted name that differ from the defaults, and the whole configuration.
+    """
+    overrides = {"env.name": env, "algorithm.name": algorithm} | (QUICK if quick else {})
+    return overrides, configs.load(overrides=overrides)
 
 
 def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tuple]]:
-    """The parts of one update of HMASD, each with arguments from a real rollout."""
-    from hmasd_jax.hmasd import algorithm
-    from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
-    from hmasd_jax.hmasd.components import make_parts
-    from hmasd_jax.hmasd.rollout_phase import collect
-    from hmasd_jax.rl import rollout as rollouts
-
+    """Yield name, function and arguments of each part of an update, on data of a rollout."""
     parts = make_parts(config.env, config.algorithm)
     key = jax.random.key(0)
-    state = jax.jit(lambda key: algorithm.init_state(parts, key))(key)
+    state = jax.jit(lambda key: hmasd.init_state(parts, key))(key)
     networks = state.coordinator.params, state.discoverer.params
 
     def rollout(networks, env, memory, key):
-        return collect(parts, *networks, env, memory, key)
+        coordinator, discoverer = networks
+        return collect(parts, coordinator, discoverer, env, memory, key)
 
     yield "rollout", rollout, (networks, state.env, state.memory, key)
     data = jax.jit(rollout)(networks, state.env, state.memory, key)
     reward = data.transitions.outcome.reward[..., None] + jax.numpy.zeros(config.env.num_agents)
     phases = {
         "coordinator": (
-            algorithm.train_coordinator,
+            hmasd.train_coordinator,
             high_batch(parts, networks[0], state.coordinator_norm, data, key),
         ),
         "discoverer": (
-            algorithm.train_discoverer,
+            hmasd.train_discoverer,
             low_batch(parts, networks[1], state.discoverer_norm, data, reward),
         ),
         "discriminators": (
-            algorithm.train_discriminators,
+            hmasd.train_discriminators,
             rollouts.flatten(skill_pairs(parts, data)),
         ),
     }
@@ -70,7 +81,7 @@ PARTS = {"hmasd": hmasd_parts}
 
 def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
     """Measure the update and its parts in this process."""
-    config = settings(env, algorithm, quick)
+    _, config = preset(env, algorithm, quick)
     env_steps = config.env_steps_per_update
     _, learner = configs.build(config)
     init, init_s = compiled(learner.init, jax.random.key(0), runs_once=True)
@@ -98,8 +109,8 @@ def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
 
 
 def bench_compilation(env: str, algorithm: str, quick: bool) -> list[Row]:
-    """Compile in this process without running anything."""
-    _, learner = configs.build(settings(env, algorithm, quick))
+    """Measure compilation in this process, without running anything."""
+    _, learner = configs.build(preset(env, algorithm, quick)[1])
     key = jax.random.key(0)
     _, init_s = compiled(learner.init, key, runs_once=True)
     _, update_s = compiled(learner.update, jax.eval_shape(learner.init, key))
@@ -112,8 +123,7 @@ def bench_compilation(env: str, algorithm: str, quick: bool) -> list[Row]:
 
 def main() -> None:
     """Run the benchmark from the command line."""
-    args = parser(__doc__).parse_args()
-    envs_jax.make(args.env)  # a wrong name is told before a process starts
+    args = training_parser(__doc__).parse_args()
     core = run_folder.available_cores()[0]
     rows = isolated(bench_compilation, args.env, args.algorithm, args.quick)
     rows += isolated(bench, args.env, args.algorithm, args.quick, args.repeats, core=core)

@@ -1,46 +1,61 @@
-"""Scripted players of `micro_battle` with full information, and their win rates.
+"""Hand-written tactics for `micro_battle` with full information, and how often they win.
 
-A tactic maps (scene, memory, key) to (actions, memory) for one copy; its memory starts as 0.
+python scripts/battle_tactics.py [--out results/micro_battle/tactics.json]
+
+Plays `BATTLES` and writes one row for each. A tactic maps (scene, memory, key) to (actions, memory)
+for one environment copy; its memory starts at 0.
 """
 
-from functools import partial
-from typing import NamedTuple
+import argparse
+import dataclasses
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from envs_jax import random_actions
-from envs_jax.micro_battle.environment import MicroBattle
+from envs_jax.micro_battle import SCENARIOS, MicroBattle
 from envs_jax.micro_battle.observations import DIRECTIONS, FIRST_ATTACK, FIRST_MOVE, STOP
+from envs_jax.micro_battle.unit_types import Balance
+from scripts.records import RESULTS, describe_script, write_rows
 
 NORTH, SOUTH, EAST, WEST = range(FIRST_MOVE, FIRST_ATTACK)
 LOW = 60.0
 """Points of health and shield at which a stalker needs relief."""
+EPISODES = 4000
+"""Episodes of each recorded battle."""
 
 
 class Scene(NamedTuple):
-    """What a tactic may look at; rows are allies, columns enemies."""
+    """View of one battle that tactics decide on; the axis M counts enemies."""
 
-    mask: jax.Array
-    dx: jax.Array
-    """From ally to enemy, as dy; infinitely far if the enemy is dead."""
-    dy: jax.Array
-    away: jax.Array
-    total: jax.Array
-    """Health and shield of allies."""
-    shield_share: jax.Array
-    """Shield of allies as a part of what they start with."""
-    enemy_total: jax.Array
-    """Of enemies; infinite if dead."""
+    mask: Bool[Array, "N actions"]
+    """Legal actions."""
+    dx: Float[Array, "N M"]
+    """Cells east from ally to enemy; infinite if the enemy is dead."""
+    dy: Float[Array, "N M"]
+    """Cells north from ally to enemy; infinite if the enemy is dead."""
+    away: Float[Array, "N M"]
+    """Distance from ally to enemy in cells; infinite if the enemy is dead."""
+    total: Float[Array, " N"]
+    """Health plus shield of each ally."""
+    shield_share: Float[Array, " N"]
+    """Shield of each ally as a fraction of its shield at the start."""
+    enemy_total: Float[Array, " M"]
+    """Health plus shield of each enemy; infinite if dead."""
 
     @property
-    def attackable(self):
-        """Whether each ally can attack each enemy, (N, enemies)."""
+    def attackable(self) -> Bool[Array, "N M"]:
+        """True where an ally can attack an enemy."""
         return self.mask[:, FIRST_ATTACK:]
 
 
 def look(env: MicroBattle, start, env_state, mask) -> Scene:
-    """Return the battlefield as the players see it."""
+    """Return the scene of `env_state`, given the state at the `start` of the battle."""
     units, n = env_state.units, env.num_agents
     alive = units.health[n:] > 0
     dx = jnp.where(alive, units.x[n:] - units.x[:n, None], jnp.inf)
@@ -57,15 +72,14 @@ def random(scene, memory, key):
 
 
 def attack_else_random(scene, memory, key):
-    """A random attack if there is one, else a random action."""
-    attacks = jnp.where(scene.attackable, 10.0, 0.0)
+    """Play a random attack if there is one, else a random legal action."""
+    attacks = jnp.where(scene.attackable, 100.0, 0.0)  # e^100 times as likely as anything else
     logits = jnp.concatenate([jnp.zeros((len(attacks), FIRST_ATTACK)), attacks], axis=1)
-    logits = jnp.where(logits == 10.0, 100.0, logits)
     return jax.random.categorical(key, jnp.where(scene.mask, logits, -jnp.inf)), memory
 
 
 def approach(scene, enemy):
-    """The legal move that brings each ally closest to its `enemy`."""
+    """Return the legal move that takes each ally closest to its `enemy`, an index per ally."""
     return _best_move(scene, enemy, farthest=False)
 
 
@@ -85,7 +99,10 @@ def _best_move(scene, enemy, farthest):
 
 
 def hold(scene, memory, key, score, walk=False):
-    """Attack the attackable enemy of the least score; without one, stand or walk to the nearest."""
+    """Attack the enemy in range with the lowest score.
+
+    With no enemy in range, stop, or walk to the nearest if `walk`.
+    """
     del key
     enemy = jnp.where(scene.attackable, score(scene), jnp.inf).argmin(1)
     otherwise = approach(scene, scene.away.argmin(1)) if walk else STOP
@@ -93,7 +110,7 @@ def hold(scene, memory, key, score, walk=False):
 
 
 def hold_random(scene, memory, key):
-    """Attack a random enemy; without one in range, stand."""
+    """Attack a random enemy in range; stop if there is none."""
     chance = jax.random.uniform(key, scene.away.shape)
     return hold(scene, memory, key, lambda scene: chance)
 
@@ -110,7 +127,7 @@ advance_middle = partial(hold, score=lambda scene: _from_middle(scene.away.shape
 
 
 def alternate(scene, memory, key):
-    """Against one enemy: the nearest ally runs if it is closer than 3, the others shoot."""
+    """Kite one enemy: the nearest ally runs if closer than 3 cells, the others attack."""
     del key
     away = jnp.where(scene.mask[:, STOP], scene.away[:, 0], jnp.inf)
     runs = (away == away.min()) & (away < 3)
@@ -120,12 +137,14 @@ def alternate(scene, memory, key):
 
 
 def swap(scene, memory, key, rest, near=6.0, back=8.7):
-    """Against the spine crawler: the first stalker that is low steps out of reach and comes back.
+    """Fight the spine crawler: the first stalker to run low steps out of reach and returns.
 
-    If they may `rest`, both leave once both are low, until shields are full, and attack again.
-    They shoot from within `near`; who steps out comes back from farther than `back`.
+    If they may `rest`, both leave once both are low, wait until their shields are full, and attack
+    again. They attack from within `near` cells. A stalker that steps out returns once it is farther
+    away than `back` cells.
 
-    Memory counts: 0 attack, 1 the first is out, 2 attack again, 3 both rest, 4 attack to the end.
+    The memory is the phase: 0 attack, 1 the weaker is out, 2 attack again, 3 both rest, 4 attack to
+    the end.
     """
     del key
     away, low = scene.away[:, 0], scene.total <= LOW
@@ -142,7 +161,7 @@ def swap(scene, memory, key, rest, near=6.0, back=8.7):
 
 
 def go(scene, memory, key, first, second):
-    """Hide: walk in one direction, or where that is blocked in another."""
+    """Hide: walk in direction `first`, or in direction `second` where that is blocked."""
     del key
     can = scene.mask[:, first], scene.mask[:, second]
     return jnp.where(can[0], first, jnp.where(can[1], second, STOP)), memory
@@ -166,10 +185,13 @@ TACTICS = {
 
 
 def make_play(env: MicroBattle, episodes: int):
-    """A compiled function of (index in `TACTICS`, share of random actions, key).
+    """Compile a player of `TACTICS`.
 
-    It returns per episode whether it was won, whether time ran out, steps, and what health the
-    enemies had left; all (episodes,).
+    Returns:
+        A function `play(tactic, noise=0.0, seed=0)`: `tactic` is a name in `TACTICS`, and each
+        action is replaced by a random legal one with probability `noise`. It returns four arrays
+        (episodes,): True for a victory, True for running out of time, steps, and the health that
+        the enemies had left.
     """
 
     @jax.jit
@@ -205,3 +227,91 @@ def make_play(env: MicroBattle, episodes: int):
 
     names = list(TACTICS)
     return lambda tactic, noise=0.0, seed=0: play(names.index(tactic), noise, jax.random.key(seed))
+
+
+class Battle(NamedTuple):
+    """A tactic on a scenario, as it is recorded."""
+
+    scenario: str
+    balance: Balance
+    tactic: str
+    random_actions: float = 0.0
+    """Probability that an action is replaced by a random legal one."""
+    jitter: float | None = None
+    """`Scenario.jitter` to play with; None is the scenario's own."""
+
+
+BATTLES = [
+    Battle(scenario, balance, tactic, share)
+    for scenario, balance, tactic, *shares in (
+        ("3m", "multi", "random", 0.0),
+        ("3m", "multi", "attack else random", 0.0),
+        ("3m", "multi", "walk, nearest", 0.0),
+        ("3m", "multi", "hold, nearest", 0.0),
+        ("3m", "multi", "hold, random target", 0.0),
+        ("3m", "multi", "hold, weakest", 0.0),
+        ("3m", "multi", "advance, first", 0.0, 0.1),
+        ("3m", "multi", "advance, middle first", 0.0, 0.1),
+        ("2m_vs_1z", "multi", "random", 0.0),
+        ("2m_vs_1z", "multi", "walk, nearest", 0.0),
+        ("2m_vs_1z", "multi", "hold, nearest", 0.0),
+        ("2m_vs_1z", "multi", "attack else random", 0.0),
+        ("2m_vs_1z", "multi", "alternate", 0.0, 0.1, 0.3),
+        ("2s_vs_1sc", "multi", "random", 0.0),
+        ("2s_vs_1sc", "multi", "attack else random", 0.0),
+        ("2s_vs_1sc", "multi", "walk, nearest", 0.0),
+        ("2s_vs_1sc", "multi", "swap", 0.0),
+        ("2s_vs_1sc", "multi", "swap and rest", 0.0, 0.1),
+        ("2s_vs_1sc", "liberty", "swap", 0.0),
+        ("2s_vs_1sc", "liberty", "swap and rest", 0.0, 0.1),
+        ("3m", "multi", "hide in the corner", 0.0),
+        ("2s_vs_1sc", "multi", "hide in the corner", 0.0),
+        ("2m_vs_1z", "multi", "hide at the bottom", 0.0),
+    )
+    for share in shares
+] + [
+    Battle("3m", "multi", tactic, jitter=jitter)
+    for tactic in ("advance, first", "hold, random target")
+    for jitter in (0.05, 0.0)
+]
+"""Battles in results/micro_battle/tactics.json, in its order."""
+
+
+@lru_cache
+def make_player(scenario: str, balance: Balance, jitter: float):
+    """Compile `make_play` once for all tactics on a scenario."""
+    layout = dataclasses.replace(SCENARIOS[scenario], jitter=jitter)
+    return make_play(MicroBattle(layout, balance), EPISODES)
+
+
+def measure(battle: Battle) -> dict[str, Any]:
+    """Play `EPISODES` episodes and return the row of the record."""
+    jitter = battle.jitter
+    if jitter is None:
+        jitter = SCENARIOS[battle.scenario].jitter
+    play = make_player(battle.scenario, battle.balance, jitter)
+    won, late, *_ = play(battle.tactic, battle.random_actions)
+    return {
+        **battle._asdict(),
+        "jitter": jitter,
+        "episodes": EPISODES,
+        "wins": float(np.asarray(won).mean()),
+        "out_of_time": float(np.asarray(late).mean()),
+    }
+
+
+def main() -> None:
+    """Play all battles and write the record."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--out", type=Path, default=RESULTS / "micro_battle" / "tactics.json")
+    args = parser.parse_args()
+    about = describe_script()
+    rows = []
+    for battle in BATTLES:
+        rows.append(measure(battle))
+        print(rows[-1], flush=True)
+    write_rows(args.out, about, rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,13 +1,13 @@
-"""Keep a finished run: RUN -> results/TASK/NAME.json, its images, and docs/results.md anew.
+"""Record a finished run in results/TASK/NAME.json, draw it, and rewrite docs/results.md.
 
-A task is one of `TASKS`; NAME begins with the algorithm's name, or with `no` for an ablation.
+python scripts/record_result.py RUN results/alice_and_bob/hmasd.json
+python scripts/record_result.py      # only rewrites docs/results.md from the recorded files
 
-python results/record.py RUN results/alice_and_bob/hmasd.json
-python results/record.py             # only docs/results.md, from the files that are there
+TASK is one of `TASKS`. NAME begins with the algorithm's name, or with `no` for an ablation.
 """
 
+import argparse
 import json
-import sys
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
@@ -18,21 +18,21 @@ from hmasd_jax.analysis.figures import draw_groups
 from hmasd_jax.analysis.statistics import last_evaluations, summarize
 from hmasd_jax.cli.summary import LAST, main_metric
 from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.runs import metrics_log
+from scripts.records import RESULTS, ROOT
 
-ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "results.md"
 
 
 class Task(NamedTuple):
-    """One task of the paper, in the units of the page: percent of success, or the return."""
+    """Task of the paper, in the units of the page: percent of success, or the return."""
 
     paper: dict[str, str]
-    """Each algorithm's mean and standard deviation over the paper's five seeds."""
+    """Mean and standard deviation over the paper's five seeds, by algorithm."""
     bar: float
-    """What a seed must reach to count as one that learned."""
+    """Score from which a seed counts as one that learned."""
     reference: Reference | None = None
-    """The paper's HMASD, read off its figures; final numbers from the text where it has them."""
+    """Curve of the paper's HMASD, read off its figures; final numbers are the text's if given."""
 
 
 TASKS = {
@@ -71,40 +71,45 @@ TASKS = {
 
 HEAD = """# Results
 
-Written by `python results/record.py` from the files in [`results/`](../results), each of which
-holds the command, configuration, commit, versions and hardware that made it, every evaluation of
-every seed, and in all but the oldest what training measured, as means over each tenth of it.
-Success in percent of greedy episodes, or their mean return; the mean of the last {last} evaluations
-of each seed, then over seeds. "±" is the (population) standard deviation over seeds, as in the
-paper (five seeds), brackets are the 95 % bootstrap interval of the mean, and "worst" is the worst
-seed.
+`python scripts/record_result.py` writes this page from the files in [`results/`](../results). Each
+file holds the command, configuration, commit, versions and hardware of a run, and every evaluation
+of every seed. All but the oldest also hold the training metrics, as means over each tenth of the
+run. A score is the success rate of greedy episodes in percent, or their mean return. It is averaged
+over the last {last} evaluations of each seed, then over seeds. "±" is the (population) standard
+deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootstrap interval of the
+mean, and "worst" is the worst seed.
 """
 TOGETHER = ("compared", "ablations")
-"""Images of several runs."""
+"""Names of the images that show several runs."""
 NUM_PARTS = 10
-"""Parts of a run that training is described by."""
+"""Equal parts of a run over which training metrics are averaged."""
 NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
+"""Entries of a training record that are not metrics to average."""
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
 )
 
 
 def record(run: Path) -> dict[str, Any]:
-    """What is kept of a run.
+    """Return the record of a run: what produced it, evaluations (seeds, steps), and training.
 
     Raises:
-        SystemExit: a seed has not come to its end, or seeds were evaluated at different steps.
+        ValueError: not a run folder, or its seeds were not all evaluated at the same steps.
     """
+    seeds = run_folder.seeds_of(run)
+    if not seeds or not (run / "run.json").is_file():
+        raise ValueError(f"RUN must be the folder of a run, but {run} holds no run.json and seeds")
     about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
     env_steps, values, training, wall_seconds = None, [], [], []
-    for seed in run_folder.seeds_of(run):
-        records = logging.read(run_folder.metrics_path(run, seed))
+    for seed in seeds:
+        records = metrics_log.read(run_folder.metrics_path(run, seed))
         evaluations = [entry for entry in records if entry["kind"] == "eval"]
         steps = [entry["env_steps"] for entry in evaluations]
         env_steps = env_steps or steps
         if not evaluations or steps != env_steps:
-            raise SystemExit(
-                f"seed {seed} of {run} has not been evaluated as the others: resume it"
+            raise ValueError(
+                f"seed {seed} of {run} was not evaluated at the steps of the other seeds: "
+                "finish the run with --resume first"
             )
         metric = main_metric(evaluations[-1])
         values.append([round(entry[metric], 6) for entry in evaluations])
@@ -123,7 +128,7 @@ def record(run: Path) -> dict[str, Any]:
 
 
 def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:
-    """Each metric of training over ten equal parts of it; None where no episode ended."""
+    """Average each training metric over ten equal parts of a run; None where it has no values."""
     lines = [entry for entry in records if entry["kind"] == "train"]
     names = dict.fromkeys(name for entry in lines for name in entry if name not in NOT_MEANS)
     bounds = [len(lines) * part // NUM_PARTS for part in range(NUM_PARTS + 1)]
@@ -136,8 +141,8 @@ def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None
 
 
 def recorded(task: str) -> list[Path]:
-    """What there is on a task."""
-    return sorted((ROOT / "results" / task).glob("*.json"))
+    """Return the recorded files of a task, sorted by name."""
+    return sorted((RESULTS / task).glob("*.json"))
 
 
 def draw_together(task: str) -> None:
@@ -148,18 +153,18 @@ def draw_together(task: str) -> None:
     full = [path for path in files if path.stem == "hmasd"]
     metric = json.loads(files[0].read_text())["metric"]
     for name, paths in zip(TOGETHER, (algorithms, full + ablations)):
-        if paths != full:  # which has an image of its own
+        if paths != full:  # HMASD alone already has an image of its own
             curves = [recorded_curves(path) for path in paths]
-            draw_groups(curves, task, metric, ROOT / "results" / task / f"{name}.png")
+            draw_groups(curves, task, metric, RESULTS / task / f"{name}.png")
 
 
 def algorithm_of(path: Path) -> str:
-    """What the name of a recorded run begins with; `hmasd` for `hmasd_robust.json`."""
+    """Return the algorithm that a file name begins with, `hmasd` for `hmasd_robust.json`."""
     return path.stem.partition("_")[0]
 
 
 def row(path: Path, kept: dict[str, Any], task: Task) -> str:
-    """One line of the table: what is kept of a run in a file."""
+    """Format the line of the table for a run `kept` in the file `path`."""
     scale = 100 if kept["metric"] == "success" else 1
     final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
     low, high = final["interval"]
@@ -178,7 +183,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
 
 
 def page() -> str:
-    """docs/results.md."""
+    """Return the text of docs/results.md."""
     parts = [HEAD.format(last=LAST)]
     for name, task in TASKS.items():
         files = recorded(name)
@@ -189,7 +194,7 @@ def page() -> str:
         commands = dict.fromkeys(f"    {result['command']}" for result in kept)
         images = [
             f"![{image.stem}](../{image.relative_to(ROOT)})"
-            for image in sorted((ROOT / "results" / name).glob("*.png"))
+            for image in sorted((RESULTS / name).glob("*.png"))
             if image.stem in TOGETHER or image.with_suffix(".json") in files
         ]
         rule = "|---" * COLUMNS.count(" | ") + "|---|"
@@ -198,20 +203,42 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def main(arguments: list[str]) -> None:
-    """Record a run if one is given, then write the page."""
-    if arguments:
-        run, out = Path(arguments[0]), Path(arguments[1]).resolve()
-        task = out.parent.relative_to(ROOT / "results").as_posix()
-        if task not in TASKS:
-            raise SystemExit(f"no task is called {task!r}; choose from {', '.join(TASKS)}")
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(record(run)) + "\n")
-        if algorithm_of(out) == "hmasd":
-            plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
-        draw_together(task)
+def keep(run: Path, out: Path) -> None:
+    """Write the record of `run` to `out` and draw the images of its task.
+
+    Raises:
+        ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or the run is not
+            finished.
+    """
+    folders = {RESULTS / name: name for name in TASKS}
+    if out.parent not in folders or out.suffix != ".json":
+        raise ValueError(f"OUT must be results/TASK/NAME.json with TASK one of {', '.join(TASKS)}")
+    task = folders[out.parent]
+    kept = record(run)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json.dumps(kept) + "\n")
+    if algorithm_of(out) == "hmasd":
+        plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
+    draw_together(task)
+
+
+def main() -> None:
+    """Record a run if one is given, then rewrite the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, nargs="?", metavar="RUN", help="folder of a finished run")
+    parser.add_argument(
+        "out", type=Path, nargs="?", metavar="OUT", help="results/TASK/NAME.json to write"
+    )
+    args = parser.parse_args()
+    if args.run:
+        if not args.out:
+            parser.error("give OUT too, the file to write: results/TASK/NAME.json")
+        try:
+            keep(args.run, args.out.resolve())
+        except ValueError as error:
+            parser.error(str(error))
     PAGE.write_text(page())
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

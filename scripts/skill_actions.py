@@ -1,76 +1,95 @@
-"""What the individual skills of a trained run do in a battle.
+"""Record what the individual skills of a trained run do in a battle.
 
-python results/micro_battle/skill_actions.py RUN OUT
+python scripts/skill_actions.py RUN OUT
 
-Every skill is given to all agents under team skill 0, and actions are sampled. OUT (JSON) gets, for
-each seed and skill, how often living agents take each action where they can attack and where they
-cannot, and what comes of the battles.
+Each skill in turn is given to all agents, under team skill 0, and actions are sampled. OUT (JSON)
+gets one row per seed and skill: how often living agents take each action where they can attack and
+where they cannot, and how the battles end.
 """
 
-import json
-import sys
+import argparse
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Array, Key
 
+from envs_jax import Environment
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax.rl import rollout
+from hmasd_jax.rl.evaluate import play
 from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.runs.load import load_run
+from hmasd_jax.runs.load import TrainedRun, load_run
+from hmasd_jax.types import Policy, Transition
+from scripts.records import describe_script, write_rows
 
 COPIES = 200
-ACTIONS = ("stop", "north", "south", "east", "west")
+ACTIONS = ("stop", "north", "south", "east", "west", "attack")
 
 
-def look(run: Path, seed: int, skill: int) -> dict:
-    """What agents with `skill` do in `COPIES` battles that are begun anew until the time is up."""
-    trained = load_run(run, seed)
-    env = trained.env
-    skills = (0,) + (skill,) * env.num_agents
+def measure_skill(trained: TrainedRun, skill: int) -> dict[str, Any]:
+    """Play battles in which all agents have `skill`, and summarize them."""
+    skills = (0,) + (skill,) * trained.env.num_agents
     policy = trained.algorithm.policy(trained.state, False, skills=skills)
+    battles = play_battles(trained.env, policy, jax.random.key(1))
+    return summarize(battles, len(trained.env.resolved_scenario.enemies))
 
-    @jax.jit
-    def play(key):
-        carry = rollout.reset(env, key, COPIES)
-        memory = policy.init((COPIES,))
-        return rollout.unroll(env, policy.step, carry, memory, key, env.max_steps)[2]
 
-    played = jax.device_get(play(jax.random.key(1)))
-    mask, action = played.timestep.action_mask, played.action
+def play_battles(env: Environment, policy: Policy, key: Key[Array, ""]) -> Transition:
+    """Play in `COPIES` copies for the time limit of one battle; a copy restarts when it is done.
+
+    Returns:
+        NumPy arrays of shape (max_steps, COPIES, ...).
+    """
+    program = jax.jit(partial(play, env, policy, num_episodes=COPIES))
+    return jax.device_get(program(key))
+
+
+def summarize(battles: Transition, num_enemies: int) -> dict[str, Any]:
+    """Return the shares of actions and the means over the battles that ended.
+
+    Args:
+        battles: arrays of shape (T, E, ...), as `play_battles` returns them.
+        num_enemies: enemies at the start of a battle.
+    """
+    mask, action = battles.timestep.action_mask, battles.action
     alive, armed = ~mask[..., 0], mask[..., FIRST_ATTACK:].any(-1)
-    over = played.outcome.done
+    over = battles.outcome.done
     return {
-        "seed": seed,
-        "skill": skill,
-        "env_steps": trained.env_steps,
         "episodes": int(over.sum()),
-        "wins": float(played.outcome.reward.sum() / over.sum()),
-        "enemies_killed": float(
-            len(env.layout.enemies) - played.outcome.info["enemies_alive"][over].mean()
-        ),
+        "wins": float(battles.outcome.reward.sum() / over.sum()),
+        "enemies_killed": float(num_enemies - battles.outcome.info["enemies_alive"][over].mean()),
         "episode_length": float(over.size / over.sum()),
         "share_in_range": float((armed & alive).sum() / alive.sum()),
-        "out_of_range": _shares(action[alive & ~armed]),
-        "in_range": _shares(action[alive & armed]),
+        "out_of_range": action_shares(action[alive & ~armed]),
+        "in_range": action_shares(action[alive & armed]),
     }
 
 
-def _shares(actions: np.ndarray) -> dict[str, float]:
-    """Of each kind of action; attacks on any enemy together."""
+def action_shares(actions: np.ndarray) -> dict[str, float]:
+    """Return the share of each of `ACTIONS` in (samples,); an attack counts whatever its target."""
     counts = np.bincount(actions, minlength=FIRST_ATTACK + 1)
     counts = np.append(counts[1:FIRST_ATTACK], counts[FIRST_ATTACK:].sum()) / max(len(actions), 1)
-    return dict(zip((*ACTIONS, "attack"), np.round(counts, 3).tolist()))
+    return dict(zip(ACTIONS, np.round(counts, 3).tolist()))
 
 
 def main() -> None:
-    """Look at all skills of all seeds and write."""
-    run, out = map(Path, sys.argv[1:])
-    num_skills = run_folder.read_config(run).algorithm.num_skills
-    rows = [look(run, seed, z) for seed in run_folder.seeds_of(run) for z in range(num_skills)]
-    about = run_folder.describe(["python", *sys.argv])
-    about["run"] = json.loads((run / "run.json").read_text())
-    out.write_text(json.dumps(about | {"rows": rows}, indent=1) + "\n")
+    """Measure all skills of all seeds of the run and write the record."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run on micro_battle")
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    args = parser.parse_args()
+    about = describe_script(args.run)
+    num_skills = run_folder.read_config(args.run).algorithm.num_skills
+    rows = []
+    for seed in run_folder.seeds_of(args.run):
+        trained = load_run(args.run, seed)
+        for skill in range(num_skills):
+            row = {"seed": seed, "skill": skill, "env_steps": trained.env_steps}
+            rows.append(row | measure_skill(trained, skill))
+            print(rows[-1], flush=True)
+    write_rows(args.out, about, rows)
 
 
 if __name__ == "__main__":

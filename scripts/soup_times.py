@@ -1,14 +1,14 @@
-"""When the soups of a trained run are served.
+"""Record when a trained run serves its soups.
 
-python results/overcooked/soup_times.py RUN OUT
+python scripts/soup_times.py RUN OUT
 
-OUT (JSON) gets, for each seed, the steps at which one greedy game per seat earns its soups, and the
-player that served each.
+OUT (JSON) gets one row per seed: for each seat of agent 0, the steps at which one greedy game
+earns its soups, and the player that served each.
 """
 
-import json
-import sys
+import argparse
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -17,13 +17,14 @@ from envs_jax.overcooked.rules import SOUP
 from hmasd_jax.analysis.render import play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
+from scripts.records import describe_script, write_rows
 
 GAMES = 16
-"""Enough for both seats to be among them."""
+"""Games to play; enough for both seats to be among them."""
 
 
-def look(run: Path, seed: int) -> dict:
-    """One greedy game for each seat that agent 0 can have."""
+def measure(run: Path, seed: int) -> dict[str, Any]:
+    """Play greedily, and return the soups of one game for each seat that agent 0 can have."""
     trained = load_run(run, seed)
     policy = trained.algorithm.policy(trained.state, True)
     keys = jax.random.split(jax.random.key(0), GAMES)
@@ -41,12 +42,14 @@ def look(run: Path, seed: int) -> dict:
 
 
 def main() -> None:
-    """Look at all seeds and write."""
-    run, out = map(Path, sys.argv[1:])
-    about = run_folder.describe(["python", *sys.argv])
-    about["run"] = json.loads((run / "run.json").read_text())
-    about["rows"] = [look(run, seed) for seed in run_folder.seeds_of(run)]
-    out.write_text(json.dumps(about, indent=1) + "\n")
+    """Measure all seeds of the run and write the record."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run on overcooked")
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    args = parser.parse_args()
+    about = describe_script(args.run)
+    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
+    write_rows(args.out, about, rows)
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Pieces that several tests use."""
+"""Code that several tests share."""

@@ -1,4 +1,4 @@
-"""Run folders as training leaves them, without any training."""
+"""Run folders as training writes them, without any training."""
 
 import json
 from pathlib import Path
@@ -6,10 +6,11 @@ from pathlib import Path
 from hmasd_jax import config as configs
 
 STEPS = [0, 100, 200, 300]
+"""Environment steps of the evaluations."""
 
 
 def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
-    """A run folder with evaluations at `STEPS`, as far as each curve goes."""
+    """Write a run folder with one seed per curve, evaluated at `STEPS` until its curve ends."""
     folder.mkdir()
     table = configs.to_json(configs.load(None, overrides))
     (folder / "config.json").write_text(json.dumps(table))

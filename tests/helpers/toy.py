@@ -1,6 +1,6 @@
 """A toy algorithm that compiles in a second, to test the host side of training.
 
-Run as a script it is the command line with the toy registered, also in worker processes.
+As a script it runs the command line with the toy algorithm registered, also in worker processes.
 """
 
 import sys
@@ -13,34 +13,35 @@ import jax.numpy as jnp
 
 from hmasd_jax.algorithms import ALGORITHMS, AlgorithmEntry
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.runs import metrics_log as logging
+from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path
 from hmasd_jax.types import Algorithm, Learner, Policy
 
 
 @dataclass(frozen=True)
 class ToyConfig:
-    """Settings of a random walk."""
+    """Settings of the toy, whose parameter walks at random."""
 
     scale: float = 1.0
-    """Size of its steps."""
+    """Standard deviation of a step of the walk."""
     explode_at: int = -1
-    """Update at which the parameters of half of the seeds turn to NaN."""
+    """Update at which the parameters of about half of the seeds become NaN; -1 is never."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    """For the number of environment steps per update."""
+    """Settings that give the number of environment steps per update."""
 
 
 class ToyState(NamedTuple):
-    """A parameter on a random walk."""
+    """Train state of the toy."""
 
     key: jax.Array
     num_updates: jax.Array
     fragile: jax.Array
+    """True if the seed fails at `explode_at`."""
     learner: Learner
 
 
 def make_toy(env: Any, config: ToyConfig) -> Algorithm:
-    """A walk whose policy always takes the action 0."""
+    """Return a random walk whose policy acts at random, with odds that depend on the parameter."""
 
     def init(key):
         key, key_fragile = jax.random.split(key)
@@ -70,7 +71,8 @@ def make_toy(env: Any, config: ToyConfig) -> Algorithm:
     return Algorithm(init, update, policy)
 
 
-# 20 env steps per update, 10 updates: metrics every 2, evaluation and checkpoint every 4.
+# 10 updates of 20 environment steps each. Metrics are logged every 2 updates; evaluations and
+# checkpoints follow every 4.
 SETTINGS = {
     "algorithm.name": "toy",
     "algorithm.ppo.num_envs": 2,
@@ -87,14 +89,14 @@ CLOCKS = ("wall_seconds", "env_steps_per_second")
 
 
 def words(**more: Any) -> list[str]:
-    """SETTINGS and changes to them, `__` standing for a dot, as a command line."""
+    """Return `SETTINGS` and changes to them as a command line; `__` in a name stands for a dot."""
     settings = SETTINGS | {name.replace("__", "."): value for name, value in more.items()}
     return [str(x) for name, value in settings.items() for x in (f"--{name}", value)]
 
 
 def numbers(run: Path, seed: int) -> list[dict[str, Any]]:
-    """All records of a seed without what depends on the clock."""
-    records = logging.read(metrics_path(run, seed))
+    """Return all records of a seed, without entries that depend on the clock."""
+    records = metrics_log.read(metrics_path(run, seed))
     return [{k: v for k, v in record.items() if k not in CLOCKS} for record in records]
 
 

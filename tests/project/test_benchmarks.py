@@ -1,4 +1,4 @@
-"""Benchmarks run and print what they promise; how fast anything is, is not tested."""
+"""Benchmarks run and print their rows; speed itself is not tested."""
 
 import importlib.util
 import json
@@ -17,8 +17,8 @@ KEYS = {
 
 def run(script, *words):
     """Rows that a benchmark prints in its quick mode."""
-    command = [sys.executable, ROOT / "benchmarks" / script, "--quick", "--repeats", "1", "--json"]
-    done = subprocess.run([*command, *words], capture_output=True, text=True)
+    command = [sys.executable, f"benchmarks/{script}", "--quick", "--repeats", "1", "--json"]
+    done = subprocess.run([*command, *words], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     for row in rows:
@@ -61,9 +61,17 @@ def test_growth_draws_what_it_measured(tmp_path):
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="needs the repository's history")
 def test_versions_of_this_repository():
-    (row,) = run("versions.py", "HEAD")
-    assert row["env_steps_per_cpu_s"] > 0
-    assert row["compile_s"] > 0
+    rows = run("versions.py", "HEAD", ".", "--algorithm", "mappo")
+    assert rows[0]["ratio"] == 1
+    assert rows[1]["name"].startswith("this checkout")
+    for row in rows:
+        assert row["algorithm"] == "mappo"
+        assert row["env_steps_per_cpu_s"] > 0
+        assert row["compile_s"] > 0
+    first, second = (row["env_steps_per_cpu_s"] for row in rows)
+    low, high = rows[1]["ratio_interval"]
+    assert low == rows[1]["ratio"] == high  # of a single round
+    assert high == pytest.approx(second / first)
 
 
 @pytest.mark.skipif(importlib.util.find_spec("jaxmarl") is None, reason="needs the extra `compare`")
@@ -74,12 +82,12 @@ def test_compare_with_jaxmarl():
 
 
 def test_page_shows_what_was_recorded(monkeypatch, tmp_path):
-    from benchmarks import record
+    from benchmarks import record_performance
 
     page = tmp_path / "performance.md"
-    page.write_text(record.PAGE.read_text())
-    monkeypatch.setattr(record, "PAGE", page)
-    record.write_page()
+    page.write_text(record_performance.PAGE.read_text())
+    monkeypatch.setattr(record_performance, "PAGE", page)
+    record_performance.write_page()
     assert page.read_text() == (ROOT / "docs" / "performance.md").read_text()
 
 

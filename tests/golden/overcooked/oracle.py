@@ -1,4 +1,4 @@
-"""The Python game beside ours: states carried across, random states, and play that cooks.
+"""The original Python game as an oracle: conversion of states, random states, and cooking play.
 
 Works with the packages `overcooked` (PyPI) and `overcooked_ai_py` (the original).
 """
@@ -31,7 +31,7 @@ ORDERS = [{"ingredients": ["onion"] * 3}]
 
 
 class Oracle:
-    """One kitchen of the Python game under one of the two rules for pots."""
+    """Kitchen of the Python game under one of the two rules for pots."""
 
     def __init__(self, package, layout, start_cooking):
         mdp = importlib.import_module(f"{package}.mdp.overcooked_mdp")
@@ -46,9 +46,9 @@ class Oracle:
             self.mdp = mdp.OvercookedGridworld.from_layout_name(layout, old_dynamics=old)
         planner = planners.MotionPlanner(self.mdp, counter_goals=[])
 
-        # In the package `overcooked` this always returns what is closest too, takes no
-        # `with_argmin`, which its featurizer still passes, and fails where nothing is to be found.
-        # So costs are asked one by one, and compared as in the original.
+        # The package `overcooked` broke this method: its featurizer still passes `with_argmin`,
+        # which the method no longer takes, and it fails if there is no location. Asking for the
+        # cost of each location and comparing them does what the original does.
         def min_cost_to_feature(pose, locations, with_argmin):
             costs = [planner.min_cost_to_feature(pose, [location]) for location in locations]
             costs = [cost[0] if isinstance(cost, tuple) else cost for cost in costs]
@@ -70,7 +70,7 @@ class Oracle:
         return self.code.ObjectState({ONION: "onion", DISH: "dish"}[int(item)], position)
 
     def theirs(self, state):
-        """Their state for ours."""
+        """Convert our state to theirs."""
         players, objects = [], {}
         for pose, item in zip(state.pose, state.held):
             cell, orientation = divmod(int(pose), 4)
@@ -91,7 +91,7 @@ class Oracle:
         return self.code.OvercookedState(players, objects, timestep=int(state.time), **orders)
 
     def ours(self, theirs, soups=0):
-        """Our state for theirs, as NumPy arrays; agent 0 is player 0."""
+        """Convert their state to ours, as NumPy arrays; agent 0 is player 0."""
 
         def code(thing):
             if thing is None:
@@ -122,22 +122,22 @@ class Oracle:
         return OvercookedState(*(np.array(x) for x in state))
 
     def step(self, theirs, action):
-        """Their state after a pair of actions, and the reward."""
+        """Return their state after a pair of actions, and the reward."""
         joint = tuple(self.code.Action.INDEX_TO_ACTION[int(a)] for a in action)
         theirs, info = self.mdp.get_state_transition(theirs, joint)
         return theirs, sum(info["sparse_reward_by_agent"])
 
     def features(self, theirs):
-        """(2, 96)"""
+        """Return the features that both players observe, (2, 96)."""
         return np.array(self.mdp.featurize_state(theirs, self.planner))
 
     def lossless(self, theirs):
-        """(2, flat)"""
+        """Return the lossless encoding that both players observe, flattened to (2, features)."""
         return np.array(self.mdp.lossless_state_encoding(theirs, horizon=HORIZON)).reshape(2, -1)
 
 
 def random_state(rng, layout):
-    """Any state, however unlikely; hands and counters are often full."""
+    """Draw any state, however unlikely; hands and counters are often full."""
     kitchen = read(layout)
     grid = kitchen.grid.copy()
     for cell in np.flatnonzero(grid == COUNTER):
@@ -159,12 +159,12 @@ def random_state(rng, layout):
 
 
 def random_action(rng):
-    """Six of ten are interactions."""
+    """Draw a pair of actions, of which 60 % are interactions."""
     return np.where(rng.random(2) < 0.6, INTERACT, rng.integers(0, 6, 2))
 
 
 def cooking_action(rng, features):
-    """What two hasty cooks do who see `features` (2, 96), three times out of four."""
+    """Draw a pair of actions given `features` (2, 96): three of four work towards a soup."""
     return np.array([_one_cook(rng, own) for own in features])
 
 

@@ -1,11 +1,11 @@
-"""Record what the original PyTorch code of MAPPO and MAT computes, for the tests to compare with.
+"""Record results of the original PyTorch code of MAPPO and MAT, for the tests to compare with.
 
-python tests/golden/record.py mappo CHECKOUT    (of marlbenchmark/on-policy)
-python tests/golden/record.py mat CHECKOUT      (of PKU-MARL/Multi-Agent-Transformer)
+python tests/golden/record_pytorch.py mappo CHECKOUT    (of marlbenchmark/on-policy)
+python tests/golden/record_pytorch.py mat CHECKOUT      (of PKU-MARL/Multi-Agent-Transformer)
 
-Needs torch 2.13.0 and NumPy. Inputs and weights are random and small; a rollout has episodes that
-end inside sequences, agents that die, ratios that are clipped and value errors beyond Huber's
-quadratic part.
+Needs torch 2.13.0 and NumPy. Inputs and weights are random and small. A rollout has episodes that
+end inside sequences, agents that die, clipped ratios, and value errors beyond the quadratic part of
+the Huber loss.
 """
 
 import argparse
@@ -28,13 +28,13 @@ FLAGS = [
 
 
 class Discrete:
-    """What the originals ask of gym's space of actions."""
+    """Stand-in for gym's action space of this name; the originals also check its name."""
 
     n = ACTIONS
 
 
 def setup(package: str, checkout: Path, more: list[str]) -> tuple[SimpleNamespace, SimpleNamespace]:
-    """Their modules and their settings."""
+    """Import the modules of `package` from `checkout` and parse its settings."""
     sys.path.insert(0, str(checkout))
     parser = importlib.import_module(f"{package}.config").get_config()
     args, _ = parser.parse_known_args(FLAGS + more)
@@ -43,7 +43,7 @@ def setup(package: str, checkout: Path, more: list[str]) -> tuple[SimpleNamespac
 
 
 def randomize(module: torch.nn.Module) -> None:
-    """Weights at which everything matters: the small initial gains would hide mistakes."""
+    """Replace all weights by larger random ones, since small initial gains would hide mistakes."""
     with torch.no_grad():
         for parameter in module.parameters():
             center = float(parameter.mean() == 1)  # the scale of a LayerNorm
@@ -51,16 +51,16 @@ def randomize(module: torch.nn.Module) -> None:
 
 
 def weights(**modules: torch.nn.Module) -> dict[str, np.ndarray]:
-    """All parameters by dotted name."""
+    """Return copies of all parameters by dotted name."""
     named = [(f"{m}.{k}", p) for m, net in modules.items() for k, p in net.named_parameters()]
     return {name: parameter.detach().numpy().copy() for name, parameter in named}
 
 
 def draw_inputs(rng: np.random.Generator, state_of) -> dict[str, np.ndarray]:
-    """A rollout's observations, masks and rewards, one more step than T."""
+    """Draw rewards of T steps, and observations, states and masks of T + 1."""
     alive = rng.random((T + 1, E, N)) < 0.8
     legal = (rng.random((T + 1, E, N, ACTIONS)) < 0.6) & alive[..., None]
-    legal[..., 0] = ~alive  # to do nothing is legal for the dead only
+    legal[..., 0] = ~alive  # doing nothing is legal for the dead only
     legal[..., 1:3] |= alive[..., None]  # the living always have a choice
     obs = rng.normal(size=(T + 1, E, N, OBS)) * alive[..., None]
     state = rng.normal(size=(T + 1, E, STATE))
@@ -77,24 +77,27 @@ def draw_inputs(rng: np.random.Generator, state_of) -> dict[str, np.ndarray]:
 
 
 def shared_state(state, obs, alive):
-    """The same state for every agent."""
+    """Return the same state for every agent."""
     return np.repeat(state[:, :, None], N, axis=2)
 
 
 def agent_state(state, obs, alive):
-    """State, observation and index; of the dead the index alone."""
+    """Return state, observation and one-hot index of each agent; for the dead only the index."""
     seen = np.concatenate([shared_state(state, obs, alive), obs], axis=-1) * alive[..., None]
     index = np.broadcast_to(np.eye(N), (T + 1, E, N, N))
     return np.concatenate([seen, index], axis=-1)
 
 
 def to_numpy(x: torch.Tensor) -> np.ndarray:
-    """(E N, ...) -> (E, N, ...)."""
+    """Convert (E N, ...) to a NumPy array (E, N, ...)."""
     return x.detach().numpy().reshape(E, N, *x.shape[1:])
 
 
 def fill(buffer, policy, inputs: dict, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Act for T steps; what is stored as old differs a little from what the networks say."""
+    """Act for T steps and fill the buffer.
+
+    The stored old log-probabilities and values differ a little from those of the networks.
+    """
     out = {"action": [], "log_prob": [], "value": [], "greedy": []}
     buffer.share_obs[:], buffer.obs[:] = inputs["critic_state"], inputs["obs"]
     buffer.available_actions[:] = inputs["legal"]
@@ -126,7 +129,7 @@ def fill(buffer, policy, inputs: dict, rng: np.random.Generator) -> dict[str, np
         last_value = to_numpy(policy.get_values(*inputs_of_value))
     out = {name: np.stack(x) for name, x in out.items()}
     moved = 0.3 * rng.normal(size=(T, E, N))
-    moved[~inputs["alive"][:-1]] = 0  # the log-probability of an only action is 0
+    moved[~inputs["alive"][:-1]] = 0  # the log-probability of a single legal action is 0
     old_value = out["value"] + 0.5 * rng.normal(size=(T, E, 1))
     buffer.action_log_probs[:] = (out["log_prob"] + moved)[..., None]
     buffer.value_preds[:-1] = old_value[..., None]
@@ -136,7 +139,7 @@ def fill(buffer, policy, inputs: dict, rng: np.random.Generator) -> dict[str, np
 
 
 def train(trainer, buffer, last_value: np.ndarray) -> dict[str, np.ndarray]:
-    """Returns by GAE, and both epochs of one call of their trainer."""
+    """Compute returns by GAE, and train both epochs of one call of their trainer."""
     norm = trainer.value_normalizer
     statistics = (norm.running_mean, norm.running_mean_sq, norm.debiasing_term)
     norm.update(torch.tensor([[3.0], [-1.0], [2.0]]))
@@ -150,7 +153,7 @@ def train(trainer, buffer, last_value: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def record_mappo(checkout: Path, recurrent: bool) -> dict[str, np.ndarray]:
-    """On-policy: with memory and a shared state, or without and with a state per agent."""
+    """Record on-policy's MAPPO, either recurrent with a shared state or with a state per agent."""
     more = ["--algorithm_name=rmappo", "--huber_delta=0.5"]
     more += [] if recurrent else ["--use_recurrent_policy"]  # turns it off
     modules, args = setup("onpolicy", checkout, more)
@@ -171,7 +174,7 @@ def record_mappo(checkout: Path, recurrent: bool) -> dict[str, np.ndarray]:
 
 
 def record_mat(checkout: Path) -> dict[str, np.ndarray]:
-    """MAT; Huber's threshold is out of reach, as their loss forgets what is below it."""
+    """Record MAT, with errors within the Huber threshold: beyond it, their loss drops one sign."""
     more = ["--algorithm_name=mat", "--huber_delta=50", "--n_block=2", "--n_embd=8", "--n_head=2"]
     modules, args = setup("mat", checkout, more)
     policies = importlib.import_module("mat.algorithms.mat.algorithm.transformer_policy")
@@ -189,7 +192,7 @@ def record_mat(checkout: Path) -> dict[str, np.ndarray]:
 
 
 def pack(arrays: dict, before: dict, after: dict) -> dict[str, np.ndarray]:
-    """One table; the versions that it was made with are part of it."""
+    """Return one table of all arrays, weights before and after, and the version of torch."""
     table = arrays | {f"before/{k}": x for k, x in before.items()}
     table |= {f"after/{k}": x for k, x in after.items()}
     table = {k: x.astype(np.float32) if x.dtype == np.float64 else x for k, x in table.items()}
@@ -197,7 +200,7 @@ def pack(arrays: dict, before: dict, after: dict) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Write the tables beside this file."""
+    """Write the tables of one original next to this file."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("original", choices=["mappo", "mat"])
     parser.add_argument("checkout", type=Path)

@@ -1,11 +1,12 @@
-"""Run benchmarks, keep what they print, and write their tables into docs/performance.md.
+"""Run benchmarks, record their rows, and write their tables into docs/performance.md.
 
-python benchmarks/record.py NAME...          # run these (of BENCHMARKS), then write the tables
-python benchmarks/record.py                  # only write the tables, from the files that are there
+python benchmarks/record_performance.py NAME...    # runs these of `BENCHMARKS`, then writes tables
+python benchmarks/record_performance.py            # only writes the tables, from recorded rows
 
-A table stands between `<!-- NAME -->` and `<!-- end -->`; the text around it is written by hand.
+A table stands between `<!-- NAME -->` and `<!-- end -->`. The text around it is written by hand.
 """
 
+import argparse
 import json
 import re
 import subprocess
@@ -18,7 +19,7 @@ from hmasd_jax.runs import folder as run_folder
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "performance.md"
-KEPT = ROOT / "results" / "benchmarks"
+RECORDS = ROOT / "results" / "benchmarks"
 BENCHMARKS = {
     "environments": "benchmarks/environments.py",
     "training": "benchmarks/training.py",
@@ -31,27 +32,31 @@ BENCHMARKS = {
 
 
 def run(name: str, about: dict[str, Any]) -> None:
-    """Run one benchmark; its rows go to results/benchmarks/NAME.json, with what it is run on.
+    """Run one benchmark and record its rows in results/benchmarks/NAME.json.
+
+    Args:
+        name: a key of `BENCHMARKS`.
+        about: description of the machine and the commit, as `run_folder.describe` returns it.
 
     Raises:
-        SystemExit: it failed.
+        SystemExit: the benchmark failed.
     """
     command = [*BENCHMARKS[name].split(), "--json"]
     done = subprocess.run([sys.executable, *command], cwd=ROOT, stdout=subprocess.PIPE, text=True)
     if done.returncode:
-        raise SystemExit(f"{name} failed")
+        raise SystemExit(f"benchmark {name} failed: see the error above")
     kept = {
         "command": f"python {BENCHMARKS[name]}",
         **{key: about[key] for key in ABOUT},
         "started": about["started"],
         "rows": [json.loads(line) for line in done.stdout.splitlines()],
     }
-    KEPT.mkdir(parents=True, exist_ok=True)
-    run_folder.write_json(KEPT / f"{name}.json", kept)
+    RECORDS.mkdir(parents=True, exist_ok=True)
+    run_folder.write_json(RECORDS / f"{name}.json", kept)
 
 
 def table(kept: dict[str, Any]) -> str:
-    """The rows of one benchmark as Markdown, under what was run where."""
+    """Format the rows of one benchmark as Markdown, below its command and machine."""
     rows = kept["rows"]
     columns = [key for key in rows[0] if any(row[key] is not None for row in rows)]
     head = [column.replace("_", " ") for column in columns]
@@ -65,9 +70,13 @@ def _line(cells: list[str]) -> str:
 
 
 def write_page() -> None:
-    """Replace the tables in docs/performance.md by what was kept."""
+    """Replace the tables in docs/performance.md by the recorded rows.
+
+    Raises:
+        SystemExit: the page has no place for a recorded benchmark.
+    """
     page = PAGE.read_text()
-    for path in sorted(KEPT.glob("*.json")):
+    for path in sorted(RECORDS.glob("*.json")):
         new = f"<!-- {path.stem} -->\n{table(json.loads(path.read_text()))}\n<!-- end -->"
         pattern = rf"<!-- {path.stem} -->.*?<!-- end -->"
         if not re.search(pattern, page, re.DOTALL):
@@ -76,21 +85,20 @@ def write_page() -> None:
     PAGE.write_text(page)
 
 
-def main(names: list[str]) -> None:
-    """Run the named benchmarks, then write the page.
-
-    Raises:
-        SystemExit: there is none of that name, or one failed.
-    """
-    for name in names:
+def main() -> None:
+    """Run the named benchmarks, then write the page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(BENCHMARKS)}")
+    args = parser.parse_args()
+    for name in args.names:
         if name not in BENCHMARKS:
-            raise SystemExit(f"unknown benchmark {name!r} (known: {', '.join(BENCHMARKS)})")
-    # Once, and first: what is written afterwards makes the checkout differ from its commit.
-    about = run_folder.describe([]) if names else {}
-    for name in names:
+            parser.error(f"unknown benchmark {name!r}; choose from {', '.join(BENCHMARKS)}")
+    # Described once and first, because the files written below make the checkout dirty.
+    about = run_folder.describe([])
+    for name in args.names:
         run(name, about)
     write_page()
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    main()

@@ -1,9 +1,11 @@
-"""Record traces of the original game: PYTHONPATH=OVERCOOKED_AI/src python record.py.
+"""Record traces of the original Overcooked game.
 
-`traces.npz` was made with github.com/HumanCompatibleAI/overcooked_ai at commit 739950a (22 March
-2025; numpy, scipy, dill and gymnasium installed). Per layout and rule it holds 12 chains of 20
-steps, each from a random state: the states, actions and rewards, and what both players see after
-every step.
+PYTHONPATH=OVERCOOKED_AI/src python tests/golden/overcooked/record_traces.py
+
+`traces.npz` was recorded with github.com/HumanCompatibleAI/overcooked_ai at commit 739950a (22
+March 2025), with numpy, scipy, dill and gymnasium installed. Per layout and rule it holds 12 chains
+of 20 steps, each from a random state: the states, actions and rewards, and both players'
+observations after every step.
 """
 
 from pathlib import Path
@@ -14,10 +16,12 @@ from oracle import Oracle, cooking_action, random_action, random_state
 from envs_jax.overcooked.layouts import LAYOUTS
 
 CHAINS, LENGTH = 12, 20
+KEPT = ("pose", "held", "grid", "time")
+"""Fields of `OvercookedState` that are recorded before and after each step."""
 
 
 def record(layout: str, start_cooking: str, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Arrays (CHAINS * LENGTH, ...) of integers."""
+    """Return arrays of integers (CHAINS * LENGTH, ...) for one layout and rule."""
     oracle = Oracle("overcooked_ai_py", layout, start_cooking)
     steps = []
     for chain in range(CHAINS):
@@ -44,11 +48,8 @@ def record(layout: str, start_cooking: str, rng: np.random.Generator) -> dict[st
     return small
 
 
-KEPT = ("pose", "held", "grid", "time")
-
-
 def main() -> None:
-    """Write traces.npz beside this file."""
+    """Write traces.npz next to this file."""
     rng = np.random.default_rng(0)
     traces = {
         f"{layout}/{start_cooking}/{name}": array

@@ -1,0 +1,82 @@
+"""Records name the command, the run and the rows, and agree with the scripts that made them."""
+
+import json
+
+import pytest
+
+from scripts import battle_tactics, random_play, record_result, records
+from tests.helpers.runs import STEPS, write_run
+
+
+@pytest.fixture
+def run(tmp_path):
+    """A finished run folder of two seeds."""
+    folder = write_run(tmp_path / "run", [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]])
+    (folder / "run.json").write_text(json.dumps({"command": ["python", "x"], "commit": "abc"}))
+    return folder
+
+
+def test_records_name_the_script_from_the_root(run, monkeypatch):
+    monkeypatch.setattr("sys.argv", [str(records.ROOT / "scripts" / "x.py"), "RUN", "OUT"])
+    about = records.describe_script(run)
+    assert about["command"] == ["python", "scripts/x.py", "RUN", "OUT"]
+    assert about["run"]["commit"] == "abc"
+    assert "run" not in records.describe_script()
+
+
+def test_rows_follow_what_produced_them(tmp_path):
+    out = tmp_path / "new" / "rows.json"
+    records.write_rows(out, {"commit": "abc"}, [{"wins": 0.5}])
+    assert json.loads(out.read_text()) == {"commit": "abc", "rows": [{"wins": 0.5}]}
+
+
+def test_tactics_that_are_recorded_are_those_that_are_played():
+    kept = json.loads((records.RESULTS / "micro_battle" / "tactics.json").read_text())
+    names = ("scenario", "balance", "tactic", "random_actions")
+    recorded = [tuple(row[name] for name in names) for row in kept["rows"]]
+    assert recorded == [battle[: len(names)] for battle in battle_tactics.BATTLES]
+    assert {battle.tactic for battle in battle_tactics.BATTLES} == set(battle_tactics.TACTICS)
+
+
+def test_tasks_of_random_play_are_recorded_in_full():
+    rows = json.loads((records.RESULTS / "random_play.json").read_text())
+    assert {name: row["episodes"] for name, row in rows.items()} == {
+        name: task.episodes for name, task in random_play.TASKS.items()
+    }
+
+
+def test_random_play_of_alice_and_bob(monkeypatch):
+    monkeypatch.setattr(random_play, "COPIES", 4)
+    row = random_play.measure(random_play.Task(8, "alice_and_bob", {"max_steps": 7}))
+    assert row["episodes"] == row["out_of_time"] + row["paid_episodes"] == 8
+    assert row["mean_return"] == row["paid_episodes"] / 8
+    assert 7 * row["out_of_time"] <= row["env_steps"] <= 7 * 8
+
+
+def test_record_of_a_run(run):
+    kept = record_result.record(run)
+    assert kept["command"] == "python x"
+    assert (kept["metric"], kept["env_steps"]) == ("success", STEPS)
+    assert kept["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
+    # Four training records over ten parts: a part without any has no mean.
+    accuracy = kept["training_means"][0]["discriminators/team_accuracy"]
+    assert [x for x in accuracy if x is not None] == [0.0, 0.5, 0.5, 1.0]
+    assert len(accuracy) == 10
+
+
+def test_an_unfinished_run_is_not_recorded(tmp_path, run):
+    with pytest.raises(ValueError, match="must be the folder of a run"):
+        record_result.record(tmp_path)
+    metrics = run / "seed_1" / "metrics.jsonl"
+    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
+    with pytest.raises(ValueError, match=r"seed 1 .* --resume"):
+        record_result.record(run)
+
+
+def test_results_go_to_the_folder_of_a_task(tmp_path, run):
+    with pytest.raises(ValueError, match="one of alice_and_bob, "):
+        record_result.keep(run, tmp_path / "hmasd.json")
+
+
+def test_page_shows_what_was_recorded():
+    assert record_result.PAGE.read_text() == record_result.page()
