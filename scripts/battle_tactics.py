@@ -280,8 +280,8 @@ BATTLES = [
 @lru_cache
 def make_player(scenario: str, balance: Balance, jitter: float):
     """Compile `make_play` once for all tactics on a scenario."""
-    layout = dataclasses.replace(SCENARIOS[scenario], jitter=jitter)
-    return make_play(MicroBattle(layout, balance), EPISODES)
+    battle = dataclasses.replace(SCENARIOS[scenario], jitter=jitter)
+    return make_play(MicroBattle(battle, balance), EPISODES)
 
 
 def measure(battle: Battle) -> dict[str, Any]:
