@@ -13,6 +13,7 @@ LAYERS = (
     {"types", "validation"},
     {"rl"},
     {"networks"},
+    {"exploration"},
     {"hmasd", "baselines"},
     {"algorithms"},
     {"config"},

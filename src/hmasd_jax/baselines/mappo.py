@@ -6,7 +6,7 @@ for all agents, or one per agent (`MAPPOConfig.critic_input`).
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,6 +14,8 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment, TimeStep
+from hmasd_jax.exploration.novelty import Bonus, NoveltyConfig, make_novelty
+from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import (
     NETWORKS,
     ActorCritic,
@@ -46,6 +48,10 @@ class MAPPOConfig:
     death_masking: bool = True
     """If True, with `critic_input` "agent", the critic sees only the index of an agent that has no
     choice of actions, such as the dead."""
+    novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
+    """Bonus for states not seen before, in units of the team reward. The paper has none."""
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    """Imitation of own successes. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
@@ -62,6 +68,8 @@ class MAPPOState(NamedTuple):
     memory: ActorCriticMemory
     learner: Learner
     norm: ValueNorm
+    novelty: Any = ()
+    successes: Any = ()
 
 
 class Extras(NamedTuple):
@@ -82,6 +90,8 @@ class Parts:
     config: MAPPOConfig
     networks: ActorCritic
     optimizer: optax.GradientTransformation
+    novelty: Bonus
+    imitation: Imitation
 
     @property
     def num_values(self) -> int:
@@ -104,7 +114,17 @@ def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
     networks = ActorCritic(
         actor=net(env.num_actions, size, gain=SMALL_GAIN), critic=net(1, size, gain=1.0)
     )
-    return Parts(env, config, networks, make_optimizer(config.ppo, NETWORKS))
+    optimizer = make_optimizer(config.ppo, NETWORKS)
+    return Parts(
+        env=env,
+        config=config,
+        networks=networks,
+        optimizer=optimizer,
+        novelty=make_novelty(env, config.novelty),
+        imitation=make_imitation(
+            env, networks, optimizer, config.imitation, config.ppo, has_skills=False
+        ),
+    )
 
 
 def init_state(parts: Parts, key: Key) -> MAPPOState:
@@ -127,6 +147,8 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
         memory=memory,
         learner=learner,
         norm=ValueNorm.create(),
+        novelty=parts.novelty.init(jax.random.fold_in(key, 1)),
+        successes=parts.imitation.init(),
     )
 
 
@@ -207,8 +229,10 @@ def make_batch(
         never = jnp.zeros_like(outcome.done)
         return parts.networks.value(params, after, critic_input(config, outcome), never)[1]
 
+    bonus = parts.novelty.reward(state.novelty, rollouts.flatten(outcome.state))
+    reward = outcome.reward + bonus.reshape(outcome.reward.shape)
     advantage, target = rollout_advantage(
-        outcome.reward[..., None], extras.value, last_value, outcome, value_of_outcome,
+        reward[..., None], extras.value, last_value, outcome, value_of_outcome,
         state.norm, config.ppo,
     )  # fmt: skip
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
@@ -253,6 +277,14 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         parts.optimizer, partial(mappo_loss, parts), state.learner, state.norm, batch, key_epochs,
         ppo,
     )  # fmt: skip
+    key_novelty, key_store = jax.random.split(jax.random.fold_in(key, 1))
+    novelty, novelty_metrics = parts.novelty.train(
+        state.novelty, rollouts.flatten(transitions.outcome.state), key_novelty
+    )
+    successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
+    learner, imitation_metrics = parts.imitation.train(successes, learner)
+    explore_metrics = novelty_metrics | store_metrics | imitation_metrics
+    metrics |= {f"exploration/{k}": v for k, v in explore_metrics.items()}
     next_state = MAPPOState(
         key=key,
         num_updates=state.num_updates + 1,
@@ -260,5 +292,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         memory=memory,
         learner=learner,
         norm=norm,
+        novelty=novelty,
+        successes=successes,
     )
     return next_state, metrics | rollouts.rollout_metrics(transitions.outcome)

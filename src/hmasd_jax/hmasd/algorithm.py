@@ -1,14 +1,14 @@
 """HMASD: Algorithm 1 of the paper as one pure `update`."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs
+from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
@@ -19,6 +19,7 @@ from hmasd_jax.hmasd.discriminators import (
     log_q_of_skills,
     observe,
 )
+from hmasd_jax.hmasd.distance import SkillSteps
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.hmasd.rollout_phase import RolloutMemory, collect, init_rollout_memory
@@ -41,6 +42,9 @@ class HMASDState(NamedTuple):
     discriminators: Learner
     coordinator_norm: ValueNorm
     discoverer_norm: ValueNorm
+    distance: Any = ()
+    novelty: Any = ()
+    successes: Any = ()
 
 
 def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
@@ -71,6 +75,7 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
     key, key_learners, key_env = jax.random.split(key, 3)
     ppo = parts.config.ppo
     coordinator, discoverer, discriminators = init_learners(parts, key_learners)
+    key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1))
     return HMASDState(
         key=key,
         num_updates=jnp.int32(0),
@@ -81,6 +86,9 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
         discriminators=discriminators,
         coordinator_norm=ValueNorm.create(),
         discoverer_norm=ValueNorm.create(),
+        distance=parts.distance.init(key_distance),
+        novelty=parts.novelty.init(key_novelty),
+        successes=parts.imitation.init(),
     )
 
 
@@ -107,19 +115,30 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     )
     team_reward = rollout.transitions.outcome.reward
     reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
-    reward = reward.reshape(*team_reward.shape, -1)
+    steps = skill_steps(rollout)
+    extra_reward, explore_metrics = exploration_reward(parts, state, steps)
+    reward = (reward + extra_reward).reshape(*team_reward.shape, -1)
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
+    key_store, key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1), 3)
+    distance, distance_metrics = parts.distance.train(state.distance, steps, key_distance)
+    novelty, novelty_metrics = parts.novelty.train(state.novelty, steps.next_state, key_novelty)
+    successes, store_metrics = parts.imitation.store(
+        state.successes, low, rollout.transitions, key_store
+    )
+    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
+    explore_metrics |= distance_metrics | novelty_metrics | store_metrics | imitation_metrics
     metrics = {
         **rollouts.rollout_metrics(rollout.transitions.outcome),
         "low_reward": reward.mean(),
         **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
         **{f"coordinator/{k}": v for k, v in high_metrics.items()},
         **{f"discoverer/{k}": v for k, v in low_metrics.items()},
+        **{f"exploration/{k}": v for k, v in explore_metrics.items()},
     }
     next_state = HMASDState(
         key=key,
@@ -131,8 +150,20 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         discriminators=discriminators,
         coordinator_norm=coordinator_norm,
         discoverer_norm=discoverer_norm,
+        distance=distance,
+        novelty=novelty,
+        successes=successes,
     )
     return next_state, metrics
+
+
+def exploration_reward(
+    parts: Parts, state: HMASDState, steps: SkillSteps
+) -> tuple[Float[Array, "B N"], Metrics]:
+    """Return the rewards beside Eq. 4: distance along the skills, and novelty of the state."""
+    team, individual, metrics = parts.distance.reward(state.distance, steps)
+    bonus = parts.novelty.reward(state.novelty, steps.next_state)
+    return individual + (team + bonus)[:, None], metrics
 
 
 def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float | Float[Array, ""]:

@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int, Shaped
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
+from hmasd_jax.hmasd.distance import SkillSteps
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.hmasd.rollout_phase import Rollout
 from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
@@ -46,6 +47,20 @@ def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
         return SkillPair(transitions.outcome.state, transitions.outcome.obs, skills)
     state = following(transitions.timestep.state, last.state)
     return SkillPair(state, following(transitions.timestep.obs, last.obs), skills)
+
+
+def skill_steps(rollout: Rollout) -> SkillSteps:
+    """Return every step with its skills and its true outcome, (T E, ...)."""
+    transitions = rollout.transitions
+    return flatten(
+        SkillSteps(
+            state=transitions.timestep.state,
+            obs=transitions.timestep.obs,
+            next_state=transitions.outcome.state,
+            next_obs=transitions.outcome.obs,
+            skills=transitions.extras.assignment.skills,
+        )
+    )
 
 
 def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:

@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import optax
 
 from envs_jax import Environment
+from hmasd_jax.exploration.novelty import Bonus, make_novelty
+from hmasd_jax.exploration.successes import Imitation, make_imitation
 from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator
@@ -17,6 +19,7 @@ from hmasd_jax.hmasd.discriminators import (
     make_discriminators,
     observe,
 )
+from hmasd_jax.hmasd.distance import SkillReward, make_distance
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic
 from hmasd_jax.rl.sgd import make_optimizer
 from hmasd_jax.types import Key, Learner
@@ -35,6 +38,9 @@ class Parts:
     coordinator_optimizer: optax.GradientTransformation
     discoverer_optimizer: optax.GradientTransformation
     discriminator_optimizer: optax.GradientTransformation
+    distance: SkillReward
+    novelty: Bonus
+    imitation: Imitation
 
 
 def make_parts(env: Environment, config: HMASDConfig) -> Parts:
@@ -50,16 +56,23 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
             f"algorithm.discriminator_obs has index {last}, but obs has {env.obs_dim} features "
             f"(0 to {env.obs_dim - 1})"
         )
+    discoverer = make_discoverer(env, config)
+    discoverer_optimizer = make_optimizer(ppo, NETWORKS)
     return Parts(
         env=env,
         config=config,
         coordinator=make_coordinator(config),
-        discoverer=make_discoverer(env, config),
+        discoverer=discoverer,
         discriminators=make_discriminators(config),
         coordinator_optimizer=make_optimizer(ppo, ["params"]),
-        discoverer_optimizer=make_optimizer(ppo, NETWORKS),
+        discoverer_optimizer=discoverer_optimizer,
         discriminator_optimizer=make_optimizer(
             ppo, Discriminators._fields, config.discriminator_epochs
+        ),
+        distance=make_distance(env, config.num_team_skills, config.num_skills, config.distance),
+        novelty=make_novelty(env, config.novelty),
+        imitation=make_imitation(
+            env, discoverer, discoverer_optimizer, config.imitation, ppo, has_skills=True
         ),
     )
 

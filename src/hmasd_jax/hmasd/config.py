@@ -4,6 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
+from hmasd_jax.exploration.novelty import NoveltyConfig
+from hmasd_jax.exploration.successes import ImitationConfig
+from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.networks.recurrent import SkillAt
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.validation import check_divides, check_indices, check_multiple, check_range
@@ -76,6 +79,12 @@ class HMASDConfig:
     skill_prior: bool = False
     """If True, subtract log p of a uniform prior from the intrinsic rewards, like Eq. 1 and unlike
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
+    distance: DistanceConfig = field(default_factory=DistanceConfig)
+    """Reward for skills that lead far apart. The paper has none."""
+    novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
+    """Bonus for states not seen before. The paper has none."""
+    imitation: ImitationConfig = field(default_factory=ImitationConfig)
+    """Imitation of own successes. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings of both levels."""
 

@@ -1,0 +1,1 @@
+"""Parts that help any on-policy algorithm to find and keep rare rewards."""

@@ -1,0 +1,203 @@
+"""Imitation of a policy's own successes (self-imitation learning, Oh et al., ICML 2018).
+
+A ring buffer keeps sequences that led to reward. After each update of PPO the actor takes a few
+gradient steps towards the stored actions, weighted by the discounted reward that followed. The
+weights are averaged over the whole buffer, so that one lucky rollout in an empty buffer pulls
+little.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax import Environment
+from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
+from hmasd_jax.rl.ppo import PPOConfig, has_choice
+from hmasd_jax.rl.rollout import cut
+from hmasd_jax.rl.sgd import gradient_step
+from hmasd_jax.types import Key, Learner, Metrics, Transition
+from hmasd_jax.validation import check_range
+
+
+@dataclass(frozen=True)
+class ImitationConfig:
+    """Settings of imitation."""
+
+    coef: float = 0.0
+    """Weight of the imitation loss. With 0 nothing is stored."""
+    steps: int = 2
+    """Gradient steps per rollout, each on the whole buffer."""
+    capacity: int = 256
+    """Sequences in the buffer. New ones replace the oldest."""
+    inserts: int = 48
+    """Most sequences stored per rollout: those followed by the most reward."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "coef", low=0)
+        check_range(self, "steps", "capacity", "inserts", low=1)
+
+
+class StoredSteps(NamedTuple):
+    """Inputs and actions of C sequences."""
+
+    first: Bool[Array, "C L"]
+    obs: Float[Array, "C L N obs"]
+    action_mask: Bool[Array, "C L N actions"]
+    skills: Int[Array, "C L N"] | None
+    """z^1..z^N, where there are skills."""
+    action: Int[Array, "C L N"]
+
+
+class Successes(NamedTuple):
+    """Ring buffer of C sequences."""
+
+    memory: Float[Array, "C N hidden"]
+    """Memory of the actor before each sequence."""
+    steps: StoredSteps
+    weight: Float[Array, "C L"]
+    """Discounted reward that followed, 1 for the largest of its rollout; 0 in an empty slot."""
+    next_slot: Int[Array, ""]
+
+
+class Imitation(NamedTuple):
+    """Imitation as three pure functions."""
+
+    init: Callable[[], Any]
+    """`init()`: empty buffer."""
+    store: Callable[[Any, SequenceBatch, Transition, Key], tuple[Any, Metrics]]
+    """`store(successes, batch, transitions, key)`: keep the successes of a rollout."""
+    train: Callable[[Any, Learner], tuple[Learner, Metrics]]
+    """`train(successes, learner)`: take gradient steps towards what is stored."""
+
+
+NO_IMITATION = Imitation(
+    init=lambda: (),
+    store=lambda successes, batch, transitions, key: (successes, {}),
+    train=lambda successes, learner: (learner, {}),
+)
+
+
+def make_imitation(
+    env: Environment,
+    networks: ActorCritic,
+    optimizer: optax.GradientTransformation,
+    config: ImitationConfig,
+    ppo: PPOConfig,
+    has_skills: bool,
+) -> Imitation:
+    """Build imitation for an actor of `env`.
+
+    Args:
+        env: environment.
+        networks: actor and critic. The actor imitates.
+        optimizer: optimizer of the networks.
+        config: settings.
+        ppo: lengths, sizes and discount.
+        has_skills: if True, the actor depends on skills.
+    """
+    if config.coef == 0:
+        return NO_IMITATION
+    length, num_agents = ppo.sequence_length, env.num_agents
+
+    def init() -> Successes:
+        sequences = (config.capacity, length)
+        agents = (*sequences, num_agents)
+        return Successes(
+            memory=jnp.zeros((config.capacity, num_agents, ppo.hidden_size)),
+            steps=StoredSteps(
+                first=jnp.zeros(sequences, bool),
+                obs=jnp.zeros((*agents, env.obs_dim)),
+                action_mask=jnp.ones((*agents, env.num_actions), bool),
+                skills=jnp.zeros(agents, int) if has_skills else None,
+                action=jnp.zeros(agents, int),
+            ),
+            weight=jnp.zeros(sequences),
+            next_slot=jnp.int32(0),
+        )
+
+    def store(successes: Successes, batch: SequenceBatch, transitions: Transition, key: Key):
+        outcome = transitions.outcome
+        weight = cut(reward_to_come(outcome.reward, outcome.done, ppo.discount), length)
+        return insert(successes, batch, weight, config.inserts, key)
+
+    def train(successes: Successes, learner: Learner):
+        def step(learner, _):
+            return gradient_step(learner, optimizer, loss, successes)
+
+        def steps(learner):
+            learner, metrics = jax.lax.scan(step, learner, None, length=config.steps)
+            return learner, metrics["imitation_loss"].mean()
+
+        def loss(params, successes):
+            value = config.coef * imitation_loss(params, networks, successes)
+            return value, {"imitation_loss": value}
+
+        # With nothing stored Adam would still move the parameters by its momentum.
+        is_empty = (successes.weight == 0).all()
+        learner, value = jax.lax.cond(is_empty, lambda x: (x, jnp.float32(0)), steps, learner)
+        return learner, {"imitation_loss": value}
+
+    return Imitation(init, store, train)
+
+
+def reward_to_come(
+    reward: Float[Array, "T E"], done: Bool[Array, "T E"], discount: float
+) -> Float[Array, "T E"]:
+    """Sum the discounted rewards from each step to the end of its episode or of the rollout."""
+
+    def backward(later, step):
+        reward, done = step
+        total = reward + discount * jnp.where(done, 0.0, later)
+        return total, total
+
+    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, done), reverse=True)[1]
+
+
+def insert(
+    successes: Successes, batch: SequenceBatch, weight: Float[Array, "S L"], most: int, key: Key
+) -> tuple[Successes, Metrics]:
+    """Store the sequences of a rollout that led to reward, at most `most` of them."""
+    weight = jnp.maximum(weight, 0.0)
+    weight = weight / jnp.maximum(weight.max(), 1e-6)
+    best = weight.max(-1)
+    # Noise breaks ties: without it the same environment copies would always be stored.
+    score = best + 0.3 * jax.random.uniform(key, best.shape)
+    score, chosen = jax.lax.top_k(jnp.where(best > 0, score, 0.0), min(most, len(best)))
+    is_success = score > 0
+    capacity = len(successes.weight)
+    # Others get a slot out of range, which `mode="drop"` ignores.
+    slot = (successes.next_slot + jnp.cumsum(is_success) - 1) % capacity
+    slot = jnp.where(is_success, slot, capacity)
+    steps = StoredSteps(
+        first=batch.first,
+        obs=batch.obs,
+        action_mask=batch.action_mask,
+        skills=None if batch.skills is None else batch.skills[..., 1:],
+        action=batch.action,
+    )
+    memory, steps, weight = jax.tree.map(
+        lambda old, new: old.at[slot].set(new[chosen], mode="drop"),
+        (successes.memory, successes.steps, successes.weight),
+        (batch.memory.actor, steps, weight),
+    )
+    count = is_success.sum()
+    next_slot = (successes.next_slot + count) % capacity
+    stored = Successes(memory=memory, steps=steps, weight=weight, next_slot=next_slot)
+    return stored, {"stored_successes": count.astype(jnp.float32)}
+
+
+def imitation_loss(params: dict, networks: ActorCritic, successes: Successes) -> Float[Array, ""]:
+    """Return -log pi(a|o, z) of the stored actions, weighted, averaged over the whole buffer."""
+    # (C, L, ...) -> (L, C, ...): recurrent networks run over the first axis.
+    steps, weight = jax.tree.map(lambda x: x.swapaxes(0, 1), (successes.steps, successes.weight))
+    _, distribution = networks.act(
+        params, successes.memory, steps.obs, steps.action_mask, steps.first, steps.skills
+    )
+    log_prob = jnp.asarray(distribution.log_prob(steps.action))
+    active = has_choice(steps.action_mask)
+    return -(jnp.where(active, log_prob, 0.0) * weight[..., None]).mean()

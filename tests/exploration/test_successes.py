@@ -1,0 +1,105 @@
+"""The store of successes and its imitation, by hand."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.testing import assert_allclose
+
+import envs_jax
+from hmasd_jax.baselines import mappo
+from hmasd_jax.baselines.mappo import MAPPOConfig
+from hmasd_jax.exploration.successes import (
+    NO_IMITATION,
+    ImitationConfig,
+    imitation_loss,
+    insert,
+    reward_to_come,
+)
+from hmasd_jax.networks.actor_critic import ActorCriticMemory, SequenceBatch
+from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.types import Learner
+
+ENV = envs_jax.make("alice_and_bob")
+PPO = PPOConfig(num_envs=2, rollout_length=4, sequence_length=2, hidden_size=8)
+PARTS = mappo.make_parts(
+    ENV, MAPPOConfig(imitation=ImitationConfig(coef=1.0, capacity=3, inserts=2, steps=5), ppo=PPO)
+)
+
+
+def _batch(num_sequences, action=0):
+    agents = (num_sequences, 2, ENV.num_agents)
+    return SequenceBatch(
+        memory=ActorCriticMemory(
+            jnp.zeros((num_sequences, ENV.num_agents, 8)), jnp.zeros((num_sequences, 1, 8))
+        ),
+        first=jnp.zeros((num_sequences, 2), bool),
+        obs=jnp.ones((*agents, ENV.obs_dim)),
+        state=jnp.zeros((num_sequences, 2, 1, ENV.state_dim)),
+        action_mask=jnp.ones((*agents, ENV.num_actions), bool),
+        action=jnp.full(agents, action),
+        log_prob=jnp.zeros(agents),
+        value=jnp.zeros((num_sequences, 2, 1)),
+        advantage=jnp.zeros(agents),
+        target=jnp.zeros((num_sequences, 2, 1)),
+    )
+
+
+def test_rewards_flow_back_to_the_start_of_their_episode_only():
+    reward = jnp.array([[0.0], [4.0], [0.0], [8.0]])
+    done = jnp.array([[False], [True], [False], [False]])
+    assert_allclose(reward_to_come(reward, done, 0.5)[:, 0], [2, 4, 4, 8])
+
+
+def test_only_sequences_with_reward_are_stored_the_oldest_are_replaced():
+    store = PARTS.imitation.init()
+    key = jax.random.key(0)
+    store, metrics = insert(store, _batch(2, 1), jnp.array([[0.0, 0.0], [2.0, 4.0]]), 2, key)
+    assert metrics["stored_successes"] == 1
+    assert_allclose(store.weight, [[0.5, 1.0], [0, 0], [0, 0]])
+    np.testing.assert_array_equal(store.steps.action[0], 1)
+    # At most two of three per rollout; the third slot is filled, then the first is replaced.
+    three = jnp.ones((3, 2))
+    store, metrics = insert(store, _batch(3, 2), three, 2, key)
+    assert metrics["stored_successes"] == 2
+    store, _ = insert(store, _batch(1, 3), three[:1], 2, key)
+    np.testing.assert_array_equal(store.steps.action[:, 0, 0], [3, 2, 2])
+    assert store.next_slot == 1
+
+
+def test_a_rollout_without_reward_stores_nothing():
+    store = PARTS.imitation.init()
+    after, _ = insert(store, _batch(2), jnp.zeros((2, 2)), 2, jax.random.key(0))
+    jax.tree.map(np.testing.assert_array_equal, after, store)
+
+
+def test_the_loss_weighs_log_probabilities_and_averages_over_empty_slots_too():
+    env_carry_params = mappo.init_state(PARTS, jax.random.key(0)).learner.params
+    batch = _batch(1, action=2)
+    store, _ = insert(PARTS.imitation.init(), batch, jnp.array([[2.0, 4.0]]), 2, jax.random.key(0))
+    loss = imitation_loss(env_carry_params, PARTS.networks, store)
+    _, distribution = PARTS.networks.act(
+        env_carry_params, batch.memory.actor, batch.obs.swapaxes(0, 1),
+        batch.action_mask.swapaxes(0, 1), batch.first.swapaxes(0, 1),
+    )  # fmt: skip
+    log_prob = np.asarray(distribution.log_prob(jnp.full((2, 1, ENV.num_agents), 2)))
+    # Weights 0.5 and 1; the mean is over 3 slots x 2 steps x N agents.
+    expected = -(0.5 * log_prob[0].sum() + log_prob[1].sum()) / (6 * ENV.num_agents)
+    assert_allclose(loss, expected, rtol=1e-5)
+
+
+def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_changes_nothing():
+    learner = mappo.init_state(PARTS, jax.random.key(0)).learner
+    empty = PARTS.imitation.init()
+    same, _ = jax.jit(PARTS.imitation.train)(empty, learner)
+    jax.tree.map(np.testing.assert_array_equal, same, learner)
+    store, _ = insert(empty, _batch(2, 3), jnp.ones((2, 2)), 2, jax.random.key(0))
+    trained, _ = jax.jit(PARTS.imitation.train)(store, learner)
+    before, after = (imitation_loss(x.params, PARTS.networks, store) for x in (learner, trained))
+    assert after < before - 1e-3
+    jax.tree.map(np.testing.assert_array_equal, trained.params["critic"], learner.params["critic"])
+
+
+def test_without_a_weight_nothing_is_stored():
+    parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
+    assert parts.imitation is NO_IMITATION
+    assert parts.imitation.train((), Learner(1, 2)) == (Learner(1, 2), {})
