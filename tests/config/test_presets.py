@@ -61,3 +61,18 @@ def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
         np.testing.assert_array_equal(timestep.obs[alive][:, indices], shot_at[alive])
         seen |= set(np.flatnonzero(shot_at[alive].any(0)))
     assert seen == set(range(enemies))
+
+
+def test_the_general_preset_has_the_same_settings_of_the_algorithm_in_all_tasks():
+    paths = sorted(CONFIGS.glob("**/hmasd_general.toml"))
+    assert len(paths) == 7
+    assert len({load(path).algorithm for path in paths}) == 1
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/hmasd_general.toml")), ids=lambda path: path.parent.name
+)
+def test_the_general_preset_plays_the_papers_environment_and_gives_no_hint(path):
+    config = load(path)
+    assert config.env == load(path.with_name("hmasd.toml")).env
+    assert config.algorithm.discriminator_obs == ()
