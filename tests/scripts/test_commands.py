@@ -7,7 +7,14 @@ import pytest
 
 from scripts.records import ROOT
 
-SCRIPTS = ["battle_tactics", "random_play", "record_result", "skill_actions", "soup_times"]
+SCRIPTS = [
+    "battle_tactics",
+    "random_play",
+    "record_result",
+    "record_tried",
+    "skill_actions",
+    "soup_times",
+]
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from scripts import battle_tactics, random_play, record_result, records
+from scripts import battle_tactics, random_play, record_result, record_tried, records
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -80,3 +80,15 @@ def test_results_go_to_the_folder_of_a_task(tmp_path, run):
 
 def test_page_shows_what_was_recorded():
     assert record_result.PAGE.read_text() == record_result.page()
+
+
+def test_tried_runs_are_added_and_replaced(run, tmp_path):
+    out = tmp_path / "new" / "tried.json"
+    record_tried.add(out, [run], "nothing")
+    other = write_run(tmp_path / "other", [[0.0, 1.0]])
+    (other / "run.json").write_text(json.dumps({"command": ["python", "y"]}))
+    record_tried.add(out, [other], "all")
+    entries = record_tried.add(out, [run], "nothing at all")
+    assert json.loads(out.read_text()) == entries
+    assert [entry["changed"] for entry in entries] == ["all", "nothing at all"]
+    assert entries[0]["values"] == [[0.0, 1.0]]
