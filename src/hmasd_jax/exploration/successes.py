@@ -102,27 +102,15 @@ def make_imitation(
     """
     if config.coef == 0:
         return NO_IMITATION
-    length, num_agents = ppo.sequence_length, env.num_agents
 
     def init() -> Successes:
-        sequences = (config.capacity, length)
-        agents = (*sequences, num_agents)
-        return Successes(
-            memory=jnp.zeros((config.capacity, num_agents, ppo.hidden_size)),
-            steps=StoredSteps(
-                first=jnp.zeros(sequences, bool),
-                obs=jnp.zeros((*agents, env.obs_dim)),
-                action_mask=jnp.ones((*agents, env.num_actions), bool),
-                skills=jnp.zeros(agents, int) if has_skills else None,
-                action=jnp.zeros(agents, int),
-            ),
-            weight=jnp.zeros(sequences),
-            next_slot=jnp.int32(0),
-        )
+        return empty_buffer(env, config, ppo, has_skills)
 
     def store(successes: Successes, batch: SequenceBatch, transitions: Transition, key: Key):
         outcome = transitions.outcome
-        weight = cut(reward_to_come(outcome.reward, outcome.done, ppo.discount), length)
+        weight = cut(
+            reward_to_come(outcome.reward, outcome.done, ppo.discount), ppo.sequence_length
+        )
         return insert(successes, batch, weight, config.inserts, key)
 
     def train(successes: Successes, learner: Learner):
@@ -143,6 +131,26 @@ def make_imitation(
         return learner, {"imitation_loss": value}
 
     return Imitation(init, store, train)
+
+
+def empty_buffer(
+    env: Environment, config: ImitationConfig, ppo: PPOConfig, has_skills: bool
+) -> Successes:
+    """Return a buffer without sequences."""
+    sequences = (config.capacity, ppo.sequence_length)
+    agents = (*sequences, env.num_agents)
+    return Successes(
+        memory=jnp.zeros((config.capacity, env.num_agents, ppo.hidden_size)),
+        steps=StoredSteps(
+            first=jnp.zeros(sequences, bool),
+            obs=jnp.zeros((*agents, env.obs_dim)),
+            action_mask=jnp.ones((*agents, env.num_actions), bool),
+            skills=jnp.zeros(agents, int) if has_skills else None,
+            action=jnp.zeros(agents, int),
+        ),
+        weight=jnp.zeros(sequences),
+        next_slot=jnp.int32(0),
+    )
 
 
 def reward_to_come(

@@ -22,7 +22,12 @@ from hmasd_jax.hmasd.discriminators import (
 from hmasd_jax.hmasd.distance import SkillSteps
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
-from hmasd_jax.hmasd.rollout_phase import RolloutMemory, collect, init_rollout_memory
+from hmasd_jax.hmasd.rollout_phase import (
+    Rollout,
+    RolloutMemory,
+    collect,
+    init_rollout_memory,
+)
 from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
@@ -115,8 +120,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     )
     team_reward = rollout.transitions.outcome.reward
     reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
-    steps = skill_steps(rollout)
-    extra_reward, explore_metrics = exploration_reward(parts, state, steps)
+    extra_reward, explore_metrics = exploration_reward(parts, state, skill_steps(rollout))
     reward = (reward + extra_reward).reshape(*team_reward.shape, -1)
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
@@ -124,14 +128,10 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
-    key_store, key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1), 3)
-    distance, distance_metrics = parts.distance.train(state.distance, steps, key_distance)
-    novelty, novelty_metrics = parts.novelty.train(state.novelty, steps.next_state, key_novelty)
-    successes, store_metrics = parts.imitation.store(
-        state.successes, low, rollout.transitions, key_store
+    discoverer, explored, more_metrics = train_exploration(
+        parts, state, rollout, low, discoverer, key
     )
-    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
-    explore_metrics |= distance_metrics | novelty_metrics | store_metrics | imitation_metrics
+    explore_metrics |= more_metrics
     metrics = {
         **rollouts.rollout_metrics(rollout.transitions.outcome),
         "low_reward": reward.mean(),
@@ -150,9 +150,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         discriminators=discriminators,
         coordinator_norm=coordinator_norm,
         discoverer_norm=discoverer_norm,
-        distance=distance,
-        novelty=novelty,
-        successes=successes,
+        **explored,
     )
     return next_state, metrics
 
@@ -215,3 +213,41 @@ def train_discriminators(
 
     epochs = parts.config.discriminator_epochs
     return sgd_epochs(step, state.discriminators, pairs, key, epochs, 1)
+
+
+def train_exploration(
+    parts: Parts,
+    state: HMASDState,
+    rollout: Rollout,
+    batch: SequenceBatch,
+    discoverer: Learner,
+    key: Key,
+) -> tuple[Learner, dict[str, Any], Metrics]:
+    """Train the parts beside the paper: distance, novelty and imitation, which may all be absent.
+
+    Args:
+        parts: static components.
+        state: state before the update.
+        rollout: rollout to learn from.
+        batch: B_l of the rollout.
+        discoverer: discoverer after Eq. 7, which imitation trains further.
+        key: key of the next state. What is drawn here is folded into it, so that the draws of the
+            paper's parts stay as they are.
+
+    Returns:
+        The discoverer, the new fields of the state by name, and metrics.
+    """
+    key_store, key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1), 3)
+    steps = skill_steps(rollout)
+    distance, distance_metrics = parts.distance.train(state.distance, steps, key_distance)
+    novelty, novelty_metrics = parts.novelty.train(state.novelty, steps.next_state, key_novelty)
+    successes, store_metrics = parts.imitation.store(
+        state.successes, batch, rollout.transitions, key_store
+    )
+    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
+    fields = {"distance": distance, "novelty": novelty, "successes": successes}
+    return (
+        discoverer,
+        fields,
+        distance_metrics | novelty_metrics | store_metrics | imitation_metrics,
+    )
