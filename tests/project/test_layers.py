@@ -2,6 +2,7 @@
 
 import ast
 from graphlib import TopologicalSorter
+from importlib.util import resolve_name
 from pathlib import Path
 
 import pytest
@@ -43,14 +44,15 @@ def modules():
 MODULES = modules()
 
 
-def imports(tree):
-    """List the modules of this project that a syntax tree imports, at any depth."""
-    for node in ast.walk(tree):
+def imports(source, package):
+    """List the modules of this project that a module of `package` imports, at any depth."""
+    for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [f"{node.module}.{alias.name}" for alias in node.names]
-            names = [name if name in MODULES else node.module for name in names]
+        elif isinstance(node, ast.ImportFrom):
+            base = resolve_name("." * node.level + (node.module or ""), package)
+            names = [f"{base}.{alias.name}" for alias in node.names]
+            names = [name if name in MODULES else base for name in names]
         else:
             continue
         yield from (name for name in names if name in MODULES)
@@ -61,7 +63,11 @@ def room(module):
     return rest[0] if package == "hmasd_jax" and rest else package
 
 
-GRAPH = {name: set(imports(ast.parse(path.read_text()))) for name, path in MODULES.items()}
+def package(module):
+    return module if MODULES[module].stem == "__init__" else module.rpartition(".")[0]
+
+
+GRAPH = {name: set(imports(path.read_text(), package(name))) for name, path in MODULES.items()}
 
 
 def upward(graph):
@@ -100,3 +106,19 @@ def test_no_modules_import_each_other_in_a_circle():
 )
 def test_an_arrow_upwards_is_found(module, imported, is_upward):
     assert bool(upward({module: {imported}})) == is_upward
+
+
+@pytest.mark.parametrize(
+    ("line", "imported"),
+    [
+        ("import hmasd_jax.training.loop as loop", "hmasd_jax.training.loop"),
+        ("from hmasd_jax.training import loop", "hmasd_jax.training.loop"),
+        ("from hmasd_jax.training.loop import train_seeds", "hmasd_jax.training.loop"),
+        ("from ..training import loop", "hmasd_jax.training.loop"),
+        ("from . import gae", "hmasd_jax.rl.gae"),
+        ("def f():\n    from hmasd_jax import training", "hmasd_jax.training"),
+        ("import jax", None),
+    ],
+)
+def test_every_form_of_import_is_found(line, imported):
+    assert list(imports(line, "hmasd_jax.rl")) == ([imported] if imported else [])
