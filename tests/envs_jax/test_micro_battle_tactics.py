@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle import MicroBattle
-from scripts import battle_tactics as tactics
+from scripts import tactics
 
 EPISODES = 500
 

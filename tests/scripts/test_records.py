@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from scripts import battle_tactics, random_play, record_result, record_tried, records
+from scripts import battle_tactics, random_play, record_result, record_tried, records, tactics
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -35,7 +35,7 @@ def test_tactics_that_are_recorded_are_those_that_are_played():
     names = ("scenario", "balance", "tactic", "random_actions")
     recorded = [tuple(row[name] for name in names) for row in kept["rows"]]
     assert recorded == [battle[: len(names)] for battle in battle_tactics.BATTLES]
-    assert {battle.tactic for battle in battle_tactics.BATTLES} == set(battle_tactics.TACTICS)
+    assert {battle.tactic for battle in battle_tactics.BATTLES} == set(tactics.TACTICS)
 
 
 def test_tasks_of_random_play_are_recorded_in_full():
