@@ -11,9 +11,14 @@ observations after every step.
 from pathlib import Path
 
 import numpy as np
-from oracle import Oracle, cooking_action, random_action, random_state
 
 from envs_jax.overcooked.layouts import LAYOUTS
+from tests.golden.overcooked.oracle import (
+    Oracle,
+    cooking_action,
+    random_action,
+    random_state,
+)
 
 CHAINS, LENGTH = 12, 20
 KEPT = ("pose", "held", "grid", "time")

@@ -12,8 +12,14 @@ import envs_jax
 from envs_jax.overcooked.environment import Overcooked, OvercookedState
 from envs_jax.overcooked.layouts import LAYOUTS
 from envs_jax.overcooked.rules import NUM_CELL_STATES, POT, read_pot
+from tests.golden.overcooked.oracle import (
+    Oracle,
+    cooking_action,
+    random_action,
+    random_state,
+)
 
-GOLDEN = Path(__file__).parents[1] / "golden" / "overcooked"
+GOLDEN = Path(__file__).parents[2] / "golden" / "overcooked"
 RULES = ("interact", "auto")
 THREE_POTS = """
 XPXPXPX
@@ -111,10 +117,10 @@ def test_optimal_plans_earn_the_return_of_the_original(layout, start_cooking, pl
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("start_cooking", RULES)
 @pytest.mark.parametrize("layout", [*LAYOUTS, THREE_POTS], ids=[*LAYOUTS, "three_pots"])
-def test_live_package(layout, start_cooking, overcooked_oracle):
+def test_live_package(layout, start_cooking):
     """Compare steps from 2,000 random states, and 400 steps of play from the start."""
     rng = np.random.default_rng(0)
-    oracle = overcooked_oracle.Oracle("overcooked", layout, start_cooking)
+    oracle = Oracle("overcooked", layout, start_cooking)
     steps = []
 
     def record(state, action):
@@ -125,12 +131,12 @@ def test_live_package(layout, start_cooking, overcooked_oracle):
         return after, seen[0]
 
     for _ in range(2000):
-        state = overcooked_oracle.random_state(rng, layout)
-        record(state, overcooked_oracle.random_action(rng))
+        state = random_state(rng, layout)
+        record(state, random_action(rng))
     start = oracle.mdp.get_standard_start_state()
     state, features = oracle.ours(start), oracle.features(start)
     for _ in range(400):
-        state, features = record(state, overcooked_oracle.cooking_action(rng, features))
+        state, features = record(state, cooking_action(rng, features))
 
     states, actions, expected, rewards, features, lossless = zip(*steps)
     stack = lambda *x: np.stack(x)  # noqa: E731
