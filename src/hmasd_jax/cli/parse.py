@@ -1,8 +1,9 @@
 """Parse command lines into the options of a command and overrides of the configuration.
 
-tyro writes the help (see `help`) but does not parse: it returns the words of unknown options
-without their place, so that `--algorithm.skill-prior --run-dir a b` would set the skill prior to
-`b`, and its messages take several lines. Values are converted by `from_table`, as in TOML files.
+tyro writes the help (see `help`) but does not parse. It takes a bool either as `--x` or as
+`--x True`, but recorded commands write `--x true`. It refuses `3e6` for a whole number, and its
+error messages take several lines. Values are converted by `from_table`, as in TOML files, so that a
+setting means the same in a file and on a command line.
 """
 
 import dataclasses
