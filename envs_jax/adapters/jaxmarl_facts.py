@@ -135,7 +135,7 @@ def available_actions(source: Any, state: Any) -> Mapping[str, Array]:
         try:
             if hasattr(source, name):
                 return getattr(source, name)(state)
-        except NotImplementedError:  # That of the base class.
+        except NotImplementedError:  # The base class raises this.
             continue
     counts = zip(source.agents, num_actions(source))
     return {agent: jnp.ones(count, bool) for agent, count in counts}

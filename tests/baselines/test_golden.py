@@ -125,7 +125,7 @@ def load(name):
 
 
 def rollout_of(data, extras):
-    """What was seen, done and got, and where the copies stand afterwards."""
+    """Return the recorded steps as transitions, and the copies after the last of them."""
     no = np.zeros((T + 1, E), bool)
     seen = TimeStep(data["obs"], data["state"], data["legal"], no * 0.0, no, no, {})
     timestep, last = (jax.tree.map(lambda x, i=i: x[i], seen) for i in (slice(T), T))

@@ -57,7 +57,7 @@ def trained(algorithm):
 
 @pytest.fixture(scope="session")
 def rollout(parts, trained):
-    """What the trained state does next."""
+    """Collect the next rollout of the trained state."""
     run = jax.jit(lambda *args: collect(parts, *args))
     return run(
         trained.coordinator.params,

@@ -78,7 +78,7 @@ def test_without_individual_skills_only_the_teams_is_trained(parts, team_only):
 
 @pytest.mark.parametrize("greedy", [False, True])
 def test_without_a_coordinator_skills_are_uniform(parts, random, greedy):
-    """In evaluation as well, which asks for the likeliest."""
+    """Evaluation asks for the most likely skills, but they are uniform there, too."""
     skills, log_prob, _ = _assign(make_parts(parts.env, random), greedy)
     for token, count in enumerate((2, 3, 3)):
         shares = np.bincount(skills[:, token], minlength=count) / len(skills)

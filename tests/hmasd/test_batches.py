@@ -1,4 +1,4 @@
-"""From constructed rollouts to the three batches, by hand; every option's effect."""
+"""Batches of constructed rollouts, computed by hand; every option has its effect."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""When skills are renewed, in training and in evaluation."""
+"""Skills are renewed on time, in training and in evaluation."""
 
 from dataclasses import replace
 

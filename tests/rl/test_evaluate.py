@@ -75,7 +75,7 @@ def test_first_episode_includes_its_last_step_and_nothing_after():
 
 @pytest.mark.parametrize("shape", [(), (3,)])
 def test_evaluation_maps_over_policies(shape):
-    # What a sweep does: one evaluation per seed, here per policy.
+    # A sweep evaluates each seed, here each policy.
     def run(steps):
         policy = Policy(
             lambda batch_shape: jnp.broadcast_to(steps, batch_shape),

@@ -98,7 +98,7 @@ def test_the_step_size_can_fall_linearly_to_zero():
 
 
 def _count_samples(num_epochs, num_minibatches, key=0):
-    """Which samples each step saw, in order."""
+    """Count for each step how often it saw each sample."""
 
     def step(carry, minibatch):
         position, seen = carry

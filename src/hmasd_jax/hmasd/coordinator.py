@@ -57,7 +57,7 @@ class Coordinator(EncoderDecoder):
     num_skills: int
 
     always_samples: ClassVar[bool] = False
-    """Whether to sample skills even where the most likely ones are requested."""
+    """If True, sample skills even where the most likely ones are requested."""
 
     def setup(self) -> None:
         """Create the layers. Team and agents have separate embeddings."""

@@ -53,7 +53,7 @@ class DistanceConfig:
 
 
 class SkillSteps(NamedTuple):
-    """Steps of a rollout with the skills in use: from where to where."""
+    """Steps of a rollout: start, end, and the skills in use."""
 
     state: Float[Array, "B state"]
     obs: Float[Array, "B N obs"]
