@@ -109,7 +109,7 @@ class AliceAndBob:
         first, second = jnp.divmod(jax.random.randint(key, (), 0, CELLS * (CELLS - 1)), CELLS - 1)
         cells = jnp.stack([first, second + (second >= first)])
         position = jnp.stack([cells // SIZE, cells % SIZE], axis=-1) + 1
-        state = AliceAndBobState(position, jnp.zeros(2, bool), jnp.int32(0))
+        state = AliceAndBobState(position=position, collected=jnp.zeros(2, bool), time=jnp.int32(0))
         return state, self._timestep(state, jnp.float32(0))
 
     def step(
@@ -121,7 +121,7 @@ class AliceAndBob:
         pressed = _occupied(position, BUTTONS)
         collected = env_state.collected | (pressed & _occupied(position, DIAMONDS))
         success = collected.all() & ~env_state.collected.all()
-        state = AliceAndBobState(position, collected, env_state.time + 1)
+        state = AliceAndBobState(position=position, collected=collected, time=env_state.time + 1)
         return state, self._timestep(state, success.astype(jnp.float32))
 
     def _timestep(self, state: AliceAndBobState, reward: Float[Array, ""]) -> TimeStep:

@@ -66,7 +66,9 @@ class Probe:
 
     def reset(self, key: jax.Array) -> tuple[ProbeState, TimeStep]:
         """Start an episode with newly drawn cues."""
-        state = ProbeState(self._cue(key), jnp.full(2, NO_ACTION, jnp.int32), jnp.int32(0))
+        state = ProbeState(
+            cue=self._cue(key), action=jnp.full(2, NO_ACTION, jnp.int32), time=jnp.int32(0)
+        )
         return state, self._timestep(state, jnp.float32(0))
 
     def step(
@@ -74,7 +76,9 @@ class Probe:
     ) -> tuple[ProbeState, TimeStep]:
         """Advance one step and reward `action`. `key` is not used."""
         del key
-        state = ProbeState(env_state.cue, action.astype(jnp.int32), env_state.time + 1)
+        state = ProbeState(
+            cue=env_state.cue, action=action.astype(jnp.int32), time=env_state.time + 1
+        )
         return state, self._timestep(state, jnp.float32(self._reward(state)))
 
     def render(self, env_state: ProbeState) -> np.ndarray:

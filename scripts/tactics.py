@@ -53,7 +53,15 @@ def look(env: MicroBattle, start, env_state, mask) -> Scene:
     total = units.health + units.shield
     share = units.shield[:n] / jnp.maximum(start.units.shield[:n], 1)
     enemy_total = jnp.where(alive, total[n:], jnp.inf)
-    return Scene(mask, dx, dy, jnp.hypot(dx, dy), total[:n], share, enemy_total)
+    return Scene(
+        mask=mask,
+        dx=dx,
+        dy=dy,
+        away=jnp.hypot(dx, dy),
+        total=total[:n],
+        shield_share=share,
+        enemy_total=enemy_total,
+    )
 
 
 def random(scene, memory, key):

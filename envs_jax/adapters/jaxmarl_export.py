@@ -74,7 +74,7 @@ class ExportedEnv(MultiAgentEnv):
     def reset(self, key: jax.Array) -> tuple[dict[str, Array], ExportedState]:
         """Start an episode."""
         env_state, timestep = self.env.reset(key)
-        state = ExportedState(env_state, timestep, jnp.int32(0))
+        state = ExportedState(env_state=env_state, timestep=timestep, step=jnp.int32(0))
         return self.get_obs(state), state
 
     def step_env(
@@ -83,7 +83,7 @@ class ExportedEnv(MultiAgentEnv):
         """Advance one step, without a reset at the end of an episode."""
         action = jnp.stack([jnp.asarray(actions[agent]).reshape(()) for agent in self.agents])
         env_state, timestep = self.env.step(key, state.env_state, action.astype(jnp.int32))
-        state = ExportedState(env_state, timestep, state.step + 1)
+        state = ExportedState(env_state=env_state, timestep=timestep, step=state.step + 1)
         rewards = dict.fromkeys(self.agents, timestep.reward)
         dones = dict.fromkeys([*self.agents, "__all__"], timestep.done)
         ends = {"terminated": timestep.terminated, "truncated": timestep.truncated}

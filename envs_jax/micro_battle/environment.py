@@ -194,7 +194,9 @@ class MicroBattle:
             begun=units.begun - TICKS_PER_STEP,
             struck=units.struck - TICKS_PER_STEP,
         )
-        after = MicroBattleState(units, state.goal, action.astype(jnp.int32), state.time + 1)
+        after = MicroBattleState(
+            units=units, goal=state.goal, last_action=action.astype(jnp.int32), time=state.time + 1
+        )
         return after, self._timestep(after, self._won(state.units))
 
     def _read_orders(

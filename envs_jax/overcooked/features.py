@@ -99,7 +99,14 @@ def tables(layout: str) -> Tables:
         columns = np.arange(begin, begin + POT_FEATURES)
         own_pot[rows, columns] = other_pot[rows, COOK_FEATURES + columns] = _pot_features()
     pot_row = pot_row.reshape(len(kitchen.pots), -1)
-    return Tables(cook_row.ravel(), own, other, pot_row, own_pot, other_pot)
+    return Tables(
+        cook_row=cook_row.ravel(),
+        own=own,
+        other=other,
+        pot_row=pot_row,
+        own_pot=own_pot,
+        other_pot=other_pot,
+    )
 
 
 def _features_of_pose(kitchen: Kitchen, pose: int) -> tuple[np.ndarray, list[int]]:

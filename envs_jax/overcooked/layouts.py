@@ -114,7 +114,7 @@ def read(layout: str) -> Kitchen:
     moved[:] = (4 * cell + np.arange(4))[..., None]  # Staying and interacting keep the pose.
     moved[..., :4] = (4 * np.where(grid[front] == FLOOR, front, cell) + np.arange(4))[:, None]
     start = np.array([text.index("1"), text.index("2")], np.int32)
-    return Kitchen(width, grid, start, front.ravel(), moved.ravel())
+    return Kitchen(width=width, grid=grid, start=start, front=front.ravel(), moved=moved.ravel())
 
 
 def _check(rows: list[str]) -> None:

@@ -93,7 +93,16 @@ def compare_runs(
         scores.append(last_evaluations(values[:, own <= steps[-1]], last))
     names = labels_of(runs, tables)
     task = tables[0]["env"]["name"]
-    return Comparison(task, metric, names, curves, int(steps[-1]), scores, last, solved_at)
+    return Comparison(
+        task=task,
+        metric=metric,
+        labels=names,
+        curves=curves,
+        env_steps=int(steps[-1]),
+        scores=scores,
+        last=last,
+        solved_at=solved_at,
+    )
 
 
 def tables(comparison: Comparison) -> list[Table]:

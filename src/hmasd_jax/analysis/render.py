@@ -145,13 +145,13 @@ def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:
         success = timesteps.info.get("success")
         episodes.append(
             Episode(
-                [
+                env_states=[
                     jax.tree.map(lambda x, i=index, t=t: x[i, t], env_states)
                     for t in range(length + 1)
                 ],
-                extras[index, :length] if has_skills else None,
-                timesteps.reward[index, 1 : length + 1],
-                None if success is None else bool(success[index, length] > 0),
+                skills=extras[index, :length] if has_skills else None,
+                rewards=timesteps.reward[index, 1 : length + 1],
+                success=None if success is None else bool(success[index, length] > 0),
             )
         )
     return episodes

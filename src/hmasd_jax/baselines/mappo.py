@@ -202,7 +202,8 @@ def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
         critic, value = parts.networks.value(params, memory.critic, state, first)
         action = distribution.sample(seed=key)
         log_prob = jnp.asarray(distribution.log_prob(action))
-        return ActorCriticMemory(actor, critic), action, Extras(memory, log_prob, value)
+        extras = Extras(memory=memory, log_prob=log_prob, value=value)
+        return ActorCriticMemory(actor=actor, critic=critic), action, extras
 
     return step
 

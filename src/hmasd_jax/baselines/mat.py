@@ -143,7 +143,8 @@ def make_parts(env: Environment, config: MATConfig) -> Parts:
         num_heads=config.num_heads,
         num_actions=env.num_actions,
     )
-    return Parts(env, config, network, make_optimizer(config.ppo, ["params"]))
+    optimizer = make_optimizer(config.ppo, ["params"])
+    return Parts(env=env, config=config, network=network, optimizer=optimizer)
 
 
 def init_state(parts: Parts, key: Key) -> MATState:
@@ -168,7 +169,7 @@ def act(
         return apply(parts.network, params, encoded, timestep.action_mask, action, method="decode")
 
     action, log_prob = draw_in_turn(decode, value.shape, key, greedy)
-    return action, Extras(log_prob, value)
+    return action, Extras(log_prob=log_prob, value=value)
 
 
 def make_policy(parts: Parts, state: MATState, greedy: bool = True) -> Policy:

@@ -106,7 +106,15 @@ def _experiment(
     console.print(text, markup=False, highlight=False, soft_wrap=True)
     display = Display(console, mine, make_plan(config).env_steps)
     with stop_on_signal() as should_stop, display:
-        job = Job(run, config, env, algorithm, options.loggers, display.handle, should_stop)
+        job = Job(
+            run=run,
+            config=config,
+            env=env,
+            algorithm=algorithm,
+            loggers=options.loggers,
+            report=display.handle,
+            should_stop=should_stop,
+        )
         if layout == "workers":
             results = run_workers(job, mine, worker_cores(len(mine)))
         else:

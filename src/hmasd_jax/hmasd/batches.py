@@ -44,9 +44,11 @@ def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
     transitions, last = rollout.transitions, rollout.env.timestep
     skills = transitions.extras.assignment.skills
     if parts.config.discriminate == "outcome":
-        return SkillPair(transitions.outcome.state, transitions.outcome.obs, skills)
+        return SkillPair(
+            state=transitions.outcome.state, obs=transitions.outcome.obs, skills=skills
+        )
     state = following(transitions.timestep.state, last.state)
-    return SkillPair(state, following(transitions.timestep.obs, last.obs), skills)
+    return SkillPair(state=state, obs=following(transitions.timestep.obs, last.obs), skills=skills)
 
 
 def skill_steps(rollout: Rollout) -> SkillSteps:

@@ -87,7 +87,7 @@ def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
     actor, critic = parts.discoverer.actor, parts.discoverer.critic
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     q_team, q_individual = parts.discriminators
-    seen = observe(SkillPair(state, obs, tokens), config, key)
+    seen = observe(SkillPair(state=state, obs=obs, skills=tokens), config, key)
     team_skills = jnp.zeros((1, env.num_agents, config.num_team_skills))
     coordinator = parts.coordinator.init(key_coordinator, state, obs, tokens)
     discoverer = {

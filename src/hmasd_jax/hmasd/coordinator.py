@@ -134,7 +134,7 @@ def assign(
     # Illegal skills have probability 0, so every draw is legal.
     greedy = greedy and not network.always_samples
     skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, fixed)
-    return Assignment(skills, log_prob, value)
+    return Assignment(skills=skills, log_prob=log_prob, value=value)
 
 
 def coordinator_loss(

@@ -66,7 +66,8 @@ def make_policy(
             assignment.individual_skills,
         )  # fmt: skip
         action = distribution.mode() if greedy else distribution.sample(seed=key_act)
-        return PolicyMemory(actor, assignment, clock + 1), action, assignment.skills
+        memory = PolicyMemory(actor=actor, assignment=assignment, clock=clock + 1)
+        return memory, action, assignment.skills
 
     return Policy(init, step)
 

@@ -136,7 +136,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
             renewed=renewed,
         )
         low = ActorCriticMemory(actor=actor, critic=critic)
-        return RolloutMemory(low, assignment, clock + 1), action, extras
+        return RolloutMemory(low=low, assignment=assignment, clock=clock + 1), action, extras
 
     return step_fn
 

@@ -11,7 +11,7 @@ from hmasd_jax.types import EnvCarry, Key, Memory, Metrics, StepFn, Transition
 def reset(env: Environment, key: Key, num_envs: int) -> EnvCarry:
     """Start `num_envs` episodes."""
     env_state, timestep = jax.vmap(env.reset)(jax.random.split(key, num_envs))
-    return EnvCarry(env_state, timestep, jnp.ones(num_envs, bool))
+    return EnvCarry(env_state=env_state, timestep=timestep, first=jnp.ones(num_envs, bool))
 
 
 def unroll(
@@ -61,7 +61,7 @@ def step(
         lambda: _restart(env, key_reset, env_state, outcome),
         lambda: (env_state, outcome),
     )
-    return EnvCarry(env_state, timestep, outcome.done), outcome
+    return EnvCarry(env_state=env_state, timestep=timestep, first=outcome.done), outcome
 
 
 def _restart(

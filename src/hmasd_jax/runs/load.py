@@ -48,7 +48,7 @@ def load_run(run: Path | str, seed: int = 0, step: int | None = None) -> Trained
     env, algorithm = build(config)
     folder = checkpoint_folder(run, seed)
     state, env_steps = restore(folder, state_template(algorithm), to_json(config), step)
-    return TrainedRun(config, env, algorithm, state, env_steps)
+    return TrainedRun(config=config, env=env, algorithm=algorithm, state=state, env_steps=env_steps)
 
 
 def load_policy(

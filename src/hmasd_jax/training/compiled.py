@@ -89,7 +89,7 @@ def compile_programs(
         shapes = jax.eval_shape(update, state)[1]
         zeros = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
         state, sums = jax.lax.fori_loop(0, num_updates, body, (state, zeros))
-        return Advanced(state, sums, all_finite(state, sums))
+        return Advanced(states=state, sums=sums, healthy=all_finite(state, sums))
 
     def play(state: Any, key: Key) -> Metrics:
         return evaluate(env, algorithm.policy(state, greedy=True), key, eval_episodes)

@@ -172,7 +172,15 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
 
     config = from_json(table)
     env, algorithm = build(config)
-    job = Job(run, config, env, algorithm, loggers, report, should_stop=pipe.poll)
+    job = Job(
+        run=run,
+        config=config,
+        env=env,
+        algorithm=algorithm,
+        loggers=loggers,
+        report=report,
+        should_stop=pipe.poll,
+    )
     while True:
         try:
             index = pipe.recv()
