@@ -1,6 +1,9 @@
-"""Checks of settings whose messages are one line that names field, value and remedy."""
+"""Checks of settings and files whose messages are one line that names the fault and the remedy."""
 
+import json
 import math
+import re
+import tomllib
 from typing import Any
 
 
@@ -55,3 +58,47 @@ def check_divides(name: str, value: int, of_name: str, of: int) -> None:
     if of % value:
         near = min((d for d in range(1, of + 1) if of % d == 0), key=lambda d: abs(d - value))
         raise ValueError(f"{name} {value} does not divide {of_name} = {of}: try {near}")
+
+
+def parse_json(data: bytes) -> Any:
+    """Read JSON from bytes, as strictly as its standard has it.
+
+    Raises:
+        ValueError: It is not JSON in UTF-8, a key occurs twice in one object, a number is not
+            finite, or it is nested too deeply. The message is one line.
+    """
+    try:
+        return json.loads(data.decode(), object_pairs_hook=_table, parse_constant=_refuse)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _table(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the object of these keys and values."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        keys = [key for key, _ in pairs]
+        twice = next(key for key in keys if keys.count(key) > 1)
+        raise ValueError(f"the key {twice!r} occurs twice")
+    return table
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not a number of JSON")
+
+
+def parse_toml(data: bytes) -> dict[str, Any]:
+    """Read TOML from bytes.
+
+    Raises:
+        ValueError: It is not valid, or nested too deeply. The message is one line.
+    """
+    try:
+        return tomllib.loads(data.decode())
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def parse_index(text: str) -> int | None:
+    """Return the whole number from 0 that a name spells as `str` does, or None if it does not."""
+    return int(text) if re.fullmatch("0|[1-9][0-9]{0,18}", text, re.ASCII) else None

@@ -8,7 +8,6 @@ References:
     <https://arxiv.org/abs/2108.13264>`_, 2021
 """
 
-import json
 from collections.abc import Sequence
 from itertools import combinations
 from pathlib import Path
@@ -29,7 +28,8 @@ from hmasd_jax.analysis.statistics import (
     last_evaluations,
     probability_of_improvement,
 )
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.config import to_json
+from hmasd_jax.runs.folder import RunError, read_config
 
 
 class Comparison(NamedTuple):
@@ -75,7 +75,7 @@ def compare_runs(
     """
     runs = [Path(run) for run in runs]
     curves = [read_evaluations(run, metric) for run in runs]
-    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    tables = [to_json(read_config(run)) for run in runs]
     for run, table in zip(runs, tables):
         if table["env"] != tables[0]["env"]:
             raise RunError(

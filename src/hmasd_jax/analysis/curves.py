@@ -21,6 +21,7 @@ from hmasd_jax.analysis.figures import (
     new_figure,
     save,
 )
+from hmasd_jax.config import to_json
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import RunError, metrics_path, read_config, seeds_of
 
@@ -70,7 +71,7 @@ def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
     require("matplotlib", "plots", "plotting")
     runs = [Path(run) for run in runs]
     curves = [read_evaluations(run, metric) for run in runs]
-    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    tables = [to_json(read_config(run)) for run in runs]
     panels = _diagnostics(runs, tables)
     figure, main, side = new_figure(panels=bool(panels))
     for seeds, label, color in zip(curves, labels_of(runs, tables), colors(len(runs))):
@@ -153,7 +154,7 @@ def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
         points = [
             (record["env_steps"], record[metric])
             for record in records
-            if record["kind"] == kind and metric in record
+            if record["kind"] == kind and metric in record.keys() - metrics_log.NOT_METRICS
         ]
         if points:
             steps, values = np.array(points, float).T

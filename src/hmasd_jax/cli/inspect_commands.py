@@ -3,6 +3,8 @@
 Their packages for drawing are optional, so they are imported by the command that needs them.
 """
 
+import sys
+
 import jax
 from rich.console import Console
 from rich.table import Table
@@ -19,6 +21,8 @@ from hmasd_jax.types import Key, Metrics
 def evaluate_checkpoints(options: EvaluateOptions) -> int:
     """Evaluate the newest checkpoint of every seed, print a table and return the exit code.
 
+    A damaged checkpoint is told after the others are evaluated, and the code is then 1.
+
     With the run's own number of episodes and greedy policies, the numbers equal those of the run's
     evaluation at that step.
     """
@@ -29,27 +33,38 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
     if not ready:
         raise RunError(f"{options.run} has no checkpoint yet: wait for the first one")
     env, algorithm = build(config)
-    template, saved_config = checkpoint.state_template(algorithm), to_json(config)
+    template = checkpoint.state_template(algorithm)
 
     @jax.jit
     def evaluation(state: object, key: Key) -> Metrics:
         policy = algorithm.policy(state, greedy=not options.sampled)
         return evaluate(env, policy, key, episodes)
 
-    rows = []
+    rows, faults = [], []
     for index, folder in ready.items():
-        state, env_steps = checkpoint.restore(folder, template, saved_config)
+        try:
+            state, env_steps = checkpoint.restore(folder, template, to_json(config))
+        except checkpoint.CheckpointError as error:
+            faults.append(f"seed {index}: {error}")
+            continue
         metrics = evaluation(state, evaluation_key(config, index, env_steps))
         rows.append((index, env_steps, {k: float(v) for k, v in metrics.items()}))
-    mode = "sampled" if options.sampled else "greedy"
-    table = Table("seed", "env steps", *rows[0][2], title=f"{episodes} {mode} episodes per seed")
+    if rows:
+        mode = "sampled" if options.sampled else "greedy"
+        _print_rows(rows, f"{episodes} {mode} episodes per seed")
+    for index in sorted(folders.keys() - ready.keys()):
+        print(f"seed {index} has no checkpoint yet")
+    for fault in faults:
+        print(f"error: {fault}", file=sys.stderr)
+    return 1 if faults else 0
+
+
+def _print_rows(rows: list[tuple[int, int, dict[str, float]]], title: str) -> None:
+    """Print seed, environment steps and metrics of each row as a table."""
+    table = Table("seed", "env steps", *rows[0][2], title=title)
     for index, env_steps, numbers in rows:
         table.add_row(str(index), f"{env_steps:,}", *(f"{x:.3f}" for x in numbers.values()))
-    console = _console()
-    console.print(table)
-    for index in sorted(folders.keys() - ready.keys()):
-        console.print(f"seed {index} has no checkpoint yet", highlight=False)
-    return 0
+    _console().print(table)
 
 
 def render(options: RenderOptions) -> int:

@@ -34,9 +34,9 @@ class RunOptions(Options):
     """Also log to Weights & Biases (package wandb; WANDB_MODE=offline needs no account)."""
 
     @property
-    def saved_config(self) -> Path | None:
-        """Configuration file of the run to resume."""
-        return self.run_dir / "config.json" if self.resume and self.run_dir else None
+    def resumed_run(self) -> Path | None:
+        """Folder of the run to resume."""
+        return self.run_dir if self.resume else None
 
     @property
     def loggers(self) -> tuple[str, ...]:
@@ -90,7 +90,7 @@ class GridOptions(RunOptions):
     folder of its own in --run-dir."""
 
     @property
-    def saved_config(self) -> None:
+    def resumed_run(self) -> None:
         """None: each value has a run folder, and a configuration, of its own."""
 
     @property

@@ -18,6 +18,7 @@ from envs_jax.choices import suggest
 from hmasd_jax.cli.options import Options, RunOptions
 from hmasd_jax.config import ConfigError, TrainConfig, load
 from hmasd_jax.config.from_table import Flag, Text, from_table
+from hmasd_jax.runs.folder import read_config
 
 OptionsT = TypeVar("OptionsT", bound=Options)
 
@@ -97,14 +98,14 @@ def load_config(options: RunOptions, overrides: dict[str, Text]) -> TrainConfig:
     """Read the configuration that a command line asks for.
 
     Raises:
-        ConfigError: It cannot be read, or `--resume` does not name a run.
+        ConfigError: It cannot be read, or `--resume` comes without a folder.
+        RunError: `--resume` does not name a run.
     """
     if options.resume and options.run_dir is None:
         raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
-    saved = options.saved_config
-    if saved and not saved.is_file():
-        raise ConfigError(f"{options.run_dir} is not a run folder: it has no config.json")
-    return load(options.config or saved, overrides)
+    if options.resumed_run is not None and options.config is None:
+        return read_config(options.resumed_run, overrides)
+    return load(options.config, overrides)
 
 
 def drop_options(words: Sequence[str], *names: str) -> list[str]:

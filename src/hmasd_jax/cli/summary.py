@@ -35,10 +35,10 @@ def summarize(run: Path, index: int) -> dict[str, Any]:
     """Return the last evaluation of one seed and the mean of its last few; empty if it has none."""
     records = metrics_log.read(metrics_path(run, index))
     evaluations = [record for record in records if record["kind"] == "eval"]
-    if not evaluations:
+    metric = main_metric(evaluations[-1]) if evaluations else ""
+    values = [record[metric] for record in evaluations if metric in record]
+    if not values:
         return {}
-    metric = main_metric(evaluations[-1])
-    values = [record[metric] for record in evaluations]
     return {
         "env_steps": records[-1]["env_steps"],
         "wall_seconds": records[-1]["wall_seconds"],

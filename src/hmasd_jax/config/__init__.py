@@ -8,6 +8,8 @@ from hmasd_jax.config.train_config import (
     identity,
     load,
     override,
+    read_table,
+    subtable,
     to_json,
 )
 from hmasd_jax.validation import ConfigError
@@ -21,5 +23,7 @@ __all__ = [
     "identity",
     "load",
     "override",
+    "read_table",
+    "subtable",
     "to_json",
 ]

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,7 @@ from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.config.from_table import from_table
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.types import Algorithm
-from hmasd_jax.validation import ConfigError, check_range
+from hmasd_jax.validation import ConfigError, check_range, parse_json, parse_toml
 
 EnvT = TypeVar("EnvT")
 AlgorithmT = TypeVar("AlgorithmT")
@@ -95,7 +94,7 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
         ConfigError: The file cannot be read, a key or name is unknown, or a value has the wrong
             type or is out of range.
     """
-    return from_json(override(_read(Path(path)) if path is not None else {}, overrides or {}))
+    return from_json(override(read_table(Path(path)) if path is not None else {}, overrides or {}))
 
 
 def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -113,7 +112,7 @@ def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, A
     """
     for section in ("env", "algorithm"):
         name = overrides.get(f"{section}.name")
-        if name is not None and str(name) != _section(table, section).get(
+        if name is not None and str(name) != subtable(table, section).get(
             "name", DEFAULT_NAMES[section]
         ):
             table[section] = {}
@@ -134,7 +133,7 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
     Raises:
         ConfigError: A key or name is unknown, or a value has the wrong type or is out of range.
     """
-    env, algorithm = _section(table, "env"), _section(table, "algorithm")
+    env, algorithm = subtable(table, "env"), subtable(table, "algorithm")
     env_type = _find(env.pop("name", DEFAULT_NAMES["env"]), ENVIRONMENTS, "env.name")
     name = algorithm.pop("name", DEFAULT_NAMES["algorithm"])
     entry = _find(name, ALGORITHMS, "algorithm.name")
@@ -183,18 +182,26 @@ def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
     raise ConfigError(f"{type(config.algorithm).__name__} belongs to no algorithm in ALGORITHMS")
 
 
-def _read(path: Path) -> dict[str, Any]:
-    """Read the tables of a .toml or .json file."""
+def read_table(path: Path) -> dict[str, Any]:
+    """Read a .toml or .json file whose outermost value is a table.
+
+    Raises:
+        ConfigError: The file cannot be read or is not valid; the message names it.
+    """
+    parse = parse_json if path.suffix == ".json" else parse_toml
     try:
-        text = path.read_text()
-        return json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        table = parse(path.read_bytes())
     except OSError as error:
         raise ConfigError(f"cannot read config file {path}: {error.strerror}") from error
     except ValueError as error:  # Both parsers give line and column.
-        raise ConfigError(f"{path} is not valid {path.suffix[1:].upper()}: {error}") from error
+        kind = "JSON" if path.suffix == ".json" else "TOML"
+        raise ConfigError(f"{path} is not valid {kind}: {error}") from error
+    if not isinstance(table, dict):
+        raise ConfigError(f"{path} is damaged: it must hold a table of settings, got {table!r:.40}")
+    return table
 
 
-def _section(table: Mapping[str, Any], name: str) -> dict[str, Any]:
+def subtable(table: Mapping[str, Any], name: str) -> dict[str, Any]:
     """Return a copy of the table `name`."""
     section = table.get(name, {})
     if not isinstance(section, Mapping):

@@ -26,6 +26,7 @@ from hmasd_jax.config import identity
 from hmasd_jax.runs import legacy_checkpoint
 from hmasd_jax.runs.legacy_checkpoint import ForeignCheckpointError
 from hmasd_jax.types import Algorithm
+from hmasd_jax.validation import parse_index
 
 State = Any
 """A pytree of arrays, which may include typed PRNG keys."""
@@ -78,8 +79,13 @@ def steps(folder: Path) -> list[int]:
     """Return the environment steps of all checkpoints in ascending order."""
     if not Path(folder).is_dir():
         return []
-    names = {path.name.removesuffix(".npz") for path in Path(folder).iterdir()}
-    return sorted(int(name) for name in names if name.isdigit())
+    found = {_step_of(path) for path in Path(folder).iterdir()}
+    return sorted(step for step in found if step is not None)
+
+
+def _step_of(path: Path) -> int | None:
+    """Return the environment steps in the name of a checkpoint; None for any other file."""
+    return parse_index(path.name.removesuffix(".npz"))
 
 
 def checkpoint_path(folder: Path, step: int) -> Path:
@@ -254,7 +260,7 @@ def _prune(folder: Path, keep: int) -> None:
     """Delete old checkpoints, older formats of the newest, and what killed saves have left."""
     kept = {checkpoint_path(folder, step).name for step in steps(folder)[-keep:]}
     for path in folder.iterdir():
-        is_checkpoint = path.name.removesuffix(".npz").isdigit()
+        is_checkpoint = _step_of(path) is not None
         if (is_checkpoint and path.name not in kept) or "tmp" in path.name:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 

@@ -8,18 +8,28 @@
 """
 
 import json
+import logging
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax.config import TrainConfig, load, to_json
+from hmasd_jax.config import (
+    ConfigError,
+    TrainConfig,
+    from_json,
+    override,
+    read_table,
+    subtable,
+    to_json,
+)
+from hmasd_jax.validation import parse_index
 
 try:
     import fcntl
@@ -48,20 +58,32 @@ def checkpoint_folder(run: Path, index: int) -> Path:
 
 def seeds_of(run: Path) -> list[int]:
     """Return the indices of the seeds that have a folder, in ascending order."""
-    names = [path.name.removeprefix("seed_") for path in run.glob("seed_*")]
-    return sorted(int(name) for name in names if name.isdigit())
+    folders = [path for path in run.glob("seed_*") if path.is_dir()]
+    indices = [parse_index(path.name.removeprefix("seed_")) for path in folders]
+    return sorted(index for index in indices if index is not None)
 
 
-def read_config(run: Path) -> TrainConfig:
+def read_config(run: Path, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
     """Read the resolved configuration of a run.
+
+    Args:
+        run: Folder of the run.
+        overrides: Values by dotted name that win over those of the run.
 
     Raises:
         RunError: `run` is not the folder of a run.
-        ConfigError: The configuration is not valid in this version.
+        ConfigError: The configuration is damaged or not valid in this version.
     """
-    if not (run / "config.json").is_file():
+    path = run / "config.json"
+    if not path.is_file():
         raise RunError(f"{run} is not a run folder: it has no config.json")
-    return load(run / "config.json")
+    saved = read_table(path)
+    if not all("name" in subtable(saved, name) for name in ("env", "algorithm")):
+        raise ConfigError(
+            f"{path} is damaged: it does not name env and algorithm; restore it from a copy, or "
+            "from the entry `config` of a checkpoint"
+        )
+    return from_json(override(saved, overrides or {}))
 
 
 def create(run: Path, config: TrainConfig, command: list[str]) -> None:
@@ -75,9 +97,8 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
     Raises:
         RunError: The path is in use or cannot be written.
     """
-    if run.exists() and (not run.is_dir() or any(run.iterdir())):
-        raise RunError(f"{run} exists: continue it with --resume, or choose another --run-dir")
     try:
+        _check_unused(run)
         run.mkdir(parents=True, exist_ok=True)
         write_json(run / "run.json", describe(command))
         write_json(run / "config.json", to_json(config))
@@ -85,12 +106,44 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
 
+def _check_unused(run: Path) -> None:
+    """Raise an error unless a new run can have this path."""
+    other = "choose another --run-dir"
+    if (run / "config.json").exists():
+        raise RunError(f"{run} exists: continue it with --resume, or {other}")
+    if run.is_dir() and any(run.iterdir()):
+        raise RunError(f"{run} is not empty, and not a run folder: {other}")
+    if run.exists() and not run.is_dir():
+        raise RunError(f"{run} is a file: {other}")
+
+
 def note_resume(run: Path, config: TrainConfig, command: list[str]) -> None:
-    """Add the command to `run.json`, and write the configuration, which may be a longer run."""
-    record = json.loads((run / "run.json").read_text())
-    record.setdefault("resumed", []).append(describe(command))
-    write_json(run / "run.json", record)
+    """Add the command to `run.json`, and write the configuration, which may be a longer run.
+
+    If `run.json` is damaged, a copy of it is kept.
+    """
+    path = run / "run.json"
+    try:
+        record = _read_record(path)
+    except ConfigError as error:
+        copy = path.with_name("run.damaged.json")
+        path.replace(copy)
+        logging.getLogger(__name__).warning("warning: %s; it is now %s", error, copy)
+        record = {}
+    write_json(path, record | {"resumed": [*record.get("resumed", []), describe(command)]})
     write_json(run / "config.json", to_json(config))
+
+
+def _read_record(path: Path) -> dict[str, Any]:
+    """Read `run.json`, which is empty if it is absent.
+
+    Raises:
+        ConfigError: It is damaged.
+    """
+    record = read_table(path) if path.exists() else {}
+    if not isinstance(record.get("resumed", []), list):
+        raise ConfigError(f"{path} is damaged: resumed must be a list")
+    return record
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -6,15 +6,21 @@ A record is a flat dictionary with `kind` ("train" or "eval"), `seed`, `env_step
 
 import importlib.util
 import json
+import logging
+import math
+from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
-from hmasd_jax.runs.folder import metrics_path, seed_folder
-from hmasd_jax.validation import ConfigError
+from hmasd_jax.runs.folder import RunError, metrics_path, seed_folder
+from hmasd_jax.validation import ConfigError, parse_json
 
 Record = dict[str, Any]
 NOT_METRICS = {"kind", "seed", "env_steps"}
 """Fields of a record that say where it belongs."""
+REMOVED = "metrics.removed.jsonl"
+"""File beside the metrics that takes the lines which resuming removes from them."""
 
 
 class Writer(Protocol):
@@ -130,25 +136,113 @@ def check_loggers(loggers: tuple[str, ...]) -> None:
             )
 
 
+class Log(NamedTuple):
+    """Lines of a file of metrics, each without its line break."""
+
+    records: list[tuple[bytes, Record]]
+    """Lines that are records, with what they say."""
+    damaged: list[bytes]
+    """Lines that are not."""
+    unfinished: bytes
+    """End of the file after the last line break, which a kill may have left, unless a record."""
+
+
 def read(path: Path) -> list[Record]:
-    """Read all records of a file up to the first incomplete line, which a kill may have left."""
-    records = []
-    for line in path.read_text().splitlines() if path.exists() else []:
+    """Read the records of a file; an absent file has none.
+
+    Lines that are no records are left out, with a warning.
+
+    Raises:
+        RunError: The file cannot be read.
+    """
+    log = _read_lines(path)
+    if told := _tell(path, log):
+        _warn(f"{told}; resuming the run moves them to {REMOVED}")
+    return [record for _, record in log.records]
+
+
+def keep_until(path: Path, env_steps: int) -> str | None:
+    """Move the records after `env_steps`, which resumed training writes again, to another file.
+
+    Lines that are no records move there, too: nothing is lost.
+
+    Returns:
+        A sentence about damaged lines, or None if there are none.
+
+    Raises:
+        RunError: The file cannot be read.
+        OSError: A file cannot be written. `path` is as it was.
+    """
+    log = _read_lines(path)
+    kept = [line for line, record in log.records if record["env_steps"] <= env_steps]
+    later = [line for line, record in log.records if record["env_steps"] > env_steps]
+    unfinished = [log.unfinished] if log.unfinished else []
+    removed = path.with_name(REMOVED)
+    if moved := [*log.damaged, *later, *unfinished]:
+        with removed.open("ab") as file:
+            file.write(b"".join(line + b"\n" for line in moved))
+        rewritten = path.with_suffix(".tmp")
+        rewritten.write_bytes(b"".join(line + b"\n" for line in kept))
+        rewritten.replace(path)
+    told = _tell(path, log)
+    return f"{told}; they are now in {removed}" if told else None
+
+
+def _read_lines(path: Path) -> Log:
+    """Read a file of metrics."""
+    try:
+        *lines, end = path.read_bytes().split(b"\n")
+    except FileNotFoundError:
+        return Log([], [], b"")
+    except OSError as error:
+        raise RunError(f"cannot read {path}: {error.strerror}; move it away") from error
+    records, damaged = [], []
+    for line in lines:
         try:
-            records.append(json.loads(line))
+            records.append((line, parse_record(line)))
         except ValueError:
-            break
-    return records
+            damaged.append(line)
+    with suppress(ValueError):  # A record whose line break alone is missing.
+        records.append((end, parse_record(end)))
+        end = b""
+    return Log(records, damaged, end)
 
 
-def keep_until(path: Path, env_steps: int) -> None:
-    """Delete the records after `env_steps`. Resumed training writes them again."""
-    if not path.exists():
-        return
-    kept = [record for record in read(path) if record["env_steps"] <= env_steps]
-    unfinished = path.with_suffix(".tmp")
-    unfinished.write_text("".join(json.dumps(record) + "\n" for record in kept))
-    unfinished.replace(path)
+def parse_record(line: bytes) -> Record:
+    """Read one line of a file of metrics.
+
+    Raises:
+        ValueError: It is not a record.
+    """
+    record = parse_json(line)
+    if not isinstance(record, dict) or not {*NOT_METRICS, "wall_seconds"} <= record.keys():
+        raise ValueError("a record has kind, seed, env_steps and wall_seconds")
+    if record["kind"] not in ("train", "eval"):
+        raise ValueError(f"a record is of kind train or eval, not {record['kind']!r}")
+    for name, value in record.items():
+        whole = name in NOT_METRICS
+        if name != "kind" and not _is_number(value, whole):
+            raise ValueError(f"{name} must be a {'whole ' * whole}number, got {value!r}")
+    return record
+
+
+def _is_number(value: Any, whole: bool) -> bool:
+    """Tell if a value is a finite float, or an int that fits into 64 bits."""
+    if type(value) is int:
+        return abs(value) < 2**63
+    return type(value) is float and math.isfinite(value) and not whole
+
+
+def _tell(path: Path, log: Log) -> str | None:
+    """Return the start of a sentence about damaged lines, or None if all of them are blank."""
+    count = sum(bool(line.strip()) for line in log.damaged)
+    lines = "lines" if count > 1 else "line"
+    return f"{count} {lines} of {path} are no records of metrics" if count else None
+
+
+@lru_cache  # Once for every message, although commands read a file several times.
+def _warn(message: str) -> None:
+    logging.getLogger(__name__).warning("warning: %s", message)
 
 
 def _metrics(record: Record) -> Record:

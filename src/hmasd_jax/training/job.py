@@ -16,7 +16,7 @@ class Event(NamedTuple):
     """News about one seed."""
 
     kind: str
-    """`start`, `compiled`, `train`, `eval`, or one of `ENDS`."""
+    """`start`, `note`, `compiled`, `train`, `eval`, or one of `ENDS`."""
     seed: int
     """Index of the seed."""
     data: dict[str, Any]

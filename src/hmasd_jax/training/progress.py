@@ -82,6 +82,8 @@ class Display:
         track = self._tracks[event.seed]
         if event.kind == "start":
             self._start(event, track)
+        elif event.kind == "note":
+            self._print(f"seed {event.seed}: {event.data['message']}")
         elif event.kind == "compiled":
             self._show_compilation(event)
         elif event.kind in ("train", "eval"):

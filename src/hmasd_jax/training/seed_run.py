@@ -25,10 +25,11 @@ class SeedRun:
         """The last event, once the seed has ended."""
 
     def open(self, env_steps: int) -> None:
-        """Open the files to train from `env_steps`; records of later steps are dropped."""
+        """Open the files to train from `env_steps`; records of later steps are moved away."""
         path = metrics_path(self.job.run, self.index)
         resumed_at = env_steps or -1
-        metrics_log.keep_until(path, resumed_at)
+        if message := metrics_log.keep_until(path, resumed_at):
+            self.report("note", message=message)
         records = metrics_log.read(path)
         self.writers = metrics_log.open_writers(
             self.job.run, self.index, self.config, resumed_at, self.job.loggers
