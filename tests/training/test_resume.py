@@ -170,9 +170,8 @@ def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     run = tmp_path / "run"
     process = start("seed_sweep", run, *words(total_env_steps=ENDLESS, num_seeds=2))
     wait_until(lambda: latest(run, 0) > 0 and latest(run, 1) > 0, process)
-    pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    workers = [p for p in pids if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text()]
-    os.kill(int(workers[0]), signal.SIGKILL)
+    workers = children_of(process)
+    os.kill(workers[0], signal.SIGKILL)
     steps = [latest(run, seed) for seed in (0, 1)]
     wait_until(lambda: any(latest(run, s) > steps[s] + 400 for s in (0, 1)), process)
     os.killpg(process.pid, signal.SIGINT)
@@ -186,6 +185,79 @@ def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     assert "to continue: python -m hmasd_jax.train seed_sweep" in text
     for pid in workers:
         assert not Path(f"/proc/{pid}").exists()
+
+
+def children_of(process):
+    """List the workers of a sweep."""
+    pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(p) for p in pids if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text()]
+
+
+def assert_as_never_interrupted(run, seed, tmp_path):
+    """Compare a seed's newest checkpoint and training metrics with a run that ends there."""
+    whole, total = tmp_path / f"whole_{seed}_{latest(run, seed)}", latest(run, seed)
+    settings = words(total_env_steps=total, seed_index=seed, num_seeds=4)
+    assert main(["train", "--run-dir", str(whole), *settings]) == 0
+    assert_same_state(load_run(run, seed).state, load_run(whole, seed).state)
+    ours, theirs = (
+        [record for record in numbers(r, seed) if record["kind"] == "train"] for r in (run, whole)
+    )
+    assert ours == theirs
+
+
+@pytest.mark.skipif(len(available_cores()) < 2, reason="two workers need two cores")
+def test_sigterm_to_all_processes_saves_every_seed(start, tmp_path):
+    """Terminate a sweep as a scheduler does, resume it and terminate it again."""
+    run, done = tmp_path / "run", [0, 0]
+    more = words(total_env_steps=ENDLESS, num_seeds=4)
+    for _ in range(2):
+        process = start("seed_sweep", run, *more)
+        wait_until(lambda done=done: all(latest(run, s) > done[s] for s in (0, 1)), process)
+        os.killpg(process.pid, signal.SIGTERM)
+        text = process.communicate(timeout=60)[0]
+        assert process.returncode == 130, text
+        assert "failed" not in text
+        assert "Traceback" not in text
+        done, more = [latest(run, seed) for seed in (0, 1)], ["--resume"]
+        for seed in (0, 1):
+            assert f"seed {seed} interrupted at env step {done[seed]:,}" in text
+            assert numbers(run, seed)[-1]["env_steps"] == done[seed]
+        statuses = json.loads((run / "summary.json").read_text())["seeds"].values()
+        assert [seed["status"] for seed in statuses] == ["interrupted"] * 4
+    for seed in (0, 1):
+        assert_as_never_interrupted(run, seed, tmp_path)
+
+
+def test_a_sweep_terminated_before_it_trains_is_interrupted(start, tmp_path):
+    """Send SIGTERM while the workers still import JAX."""
+    run = tmp_path / "run"
+    process = start("seed_sweep", run, *words(num_seeds=1, layout="workers"))
+    wait_until(lambda: children_of(process), process)
+    os.killpg(process.pid, signal.SIGTERM)
+    text = process.communicate(timeout=60)[0]
+    assert process.returncode == 130, text
+    assert "seed 0 interrupted" in text
+    assert "Traceback" not in text
+
+
+def test_a_worker_that_is_terminated_alone_saves_and_is_replaced(start, tmp_path):
+    run = tmp_path / "run"
+    settings = words(total_env_steps=ENDLESS, num_seeds=2, layout="workers")
+    cores = available_cores()
+    os.sched_setaffinity(0, cores[:1])  # One core, hence one worker, while seed 1 waits.
+    try:
+        process = start("seed_sweep", run, *settings)
+    finally:
+        os.sched_setaffinity(0, cores)
+    wait_until(lambda: latest(run, 0) > 0, process)
+    os.kill(children_of(process)[0], signal.SIGTERM)
+    wait_until(lambda: latest(run, 1) > 0, process)
+    os.killpg(process.pid, signal.SIGTERM)
+    text = process.communicate(timeout=60)[0]
+    assert process.returncode == 130, text
+    assert f"seed 0 interrupted at env step {latest(run, 0):,}" in text
+    assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
+    assert "failed" not in text
 
 
 def test_workers_stop_when_the_parent_is_gone(start, tmp_path):

@@ -11,8 +11,10 @@ import os
 import signal
 import traceback
 from collections import deque
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -52,7 +54,8 @@ class Worker:
         pipe, other = context.Pipe()
         arguments = (other, job.run, to_json(job.config), job.loggers, core)
         process = context.Process(target=work, args=arguments, name=f"worker on core {core}")
-        process.start()
+        with _signals_held():
+            process.start()
         other.close()  # the pipe then closes when the process ends
         pipe.send(seed)
         return cls(process, pipe, core, seed)
@@ -64,10 +67,41 @@ class Worker:
             self.pipe.send(seed)
 
 
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Hold the signals that stop a run, in processes started meanwhile until `_take_signals`.
+
+    A worker takes seconds to import JAX and would else end as Python does, with a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # It would start with the worker, and release the signals.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _take_signals() -> Callable[[], bool]:
+    """Ignore SIGINT, which the parent handles, and return a function that tells of SIGTERM.
+
+    A scheduler sends SIGTERM to all processes at once, or to any of them.
+    """
+    received: list[int] = []
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
+    return lambda: bool(received)
+
+
 def run_workers(job: Job, indices: list[int], cores: list[int]) -> dict[int, Event]:
     """Train the seeds in one process per core.
 
-    If a worker dies, only its current seed fails, and a new worker replaces it.
+    If a worker dies, only its current seed fails, and a new worker replaces it. So it does if a
+    worker alone is told to end, whose seed is then saved.
 
     Args:
         job: The run to train.
@@ -94,10 +128,11 @@ def _serve(job: Job, workers: list[Worker], waiting: deque[int]) -> dict[int, Ev
             event = _receive(worker)
             if event is None:  # the process is gone
                 workers.remove(worker)
-                if worker.seed >= 0:
-                    event = _death(worker)
-                    if waiting:
-                        workers.append(Worker.start(job, worker.core, waiting.popleft()))
+                event = _death(worker) if worker.seed >= 0 else None
+                if waiting:
+                    workers.append(Worker.start(job, worker.core, waiting.popleft()))
+            elif event.kind == "interrupted":
+                worker.assign(None)
             elif event.kind in ENDS:
                 worker.assign(waiting.popleft() if waiting else None)
             if event is not None:
@@ -163,12 +198,15 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
         loggers: Loggers beside the JSON lines.
         core: Core to compute on.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent handles Ctrl-C
+    terminated = _take_signals()
     pin(core)
 
     def report(event: Event) -> None:
         with suppress(OSError):  # the parent is gone; `poll` then returns True
             pipe.send(event)
+
+    def should_stop() -> bool:
+        return terminated() or pipe.poll()
 
     config = from_json(table)
     env, algorithm = build(config)
@@ -179,7 +217,7 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
         algorithm=algorithm,
         loggers=loggers,
         report=report,
-        should_stop=pipe.poll,
+        should_stop=should_stop,
     )
     while True:
         try:
@@ -188,6 +226,9 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
             return
         if index is None:
             return
+        if terminated():
+            report(Event("interrupted", index, {}))
+            continue
         try:
             train_seeds(job, [index])
         except Exception as error:
