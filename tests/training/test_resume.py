@@ -324,6 +324,22 @@ def test_metrics_after_the_checkpoint_are_dropped(finished):
     assert numbers(finished, 0) == before
 
 
+def test_counters_pass_two_to_the_32(tmp_path):
+    """Train, evaluate and resume where an environment step has no index of 32 bits."""
+    run, per_update = tmp_path / "run", 2**27 * 10
+    intervals = dict.fromkeys(
+        ("log_interval", "eval_interval", "checkpoint_interval"), 2 * per_update
+    )
+    copies = {"algorithm__ppo__num_envs": 2**27, "total_env_steps": 4 * per_update}
+    more = words(**intervals, **copies)
+    assert main(["train", "--run-dir", str(run), *more]) == 0
+    further = ["--resume", "--total-env-steps", str(6 * per_update)]
+    assert main(["train", "--run-dir", str(run), *further]) == 0
+    evaluated = [r["env_steps"] for r in numbers(run, 0) if r["kind"] == "eval"]
+    assert evaluated == [2 * n * per_update for n in range(4)]
+    assert latest(run, 0) == 6 * per_update
+
+
 def test_a_damaged_checkpoint_is_told_with_the_remedy(finished, capsys):
     folder = checkpoint_folder(finished, 0)
     (folder / "160.npz").unlink()

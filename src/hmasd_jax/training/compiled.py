@@ -56,7 +56,9 @@ def seed_key(config: TrainConfig, index: int) -> Key:
 def evaluation_key(config: TrainConfig, index: int, env_steps: int) -> Key:
     """Return the key for the evaluation of run `index` after `env_steps`."""
     key = jax.random.fold_in(jax.random.key(config.seed), EVALUATION + index)
-    return jax.random.fold_in(key, env_steps)
+    high, low = divmod(env_steps, 2**32)  # `fold_in` takes 32 bits.
+    key = jax.random.fold_in(key, low)
+    return jax.random.fold_in(key, high) if high else key
 
 
 def compile_programs(
