@@ -6,12 +6,15 @@ import re
 import tomllib
 from typing import Any
 
+LARGEST = 2**31 - 1
+"""Largest count, since counters and indices of arrays have 32 bits."""
+
 
 class ConfigError(ValueError):
     """A setting that cannot be used; the message is one line naming field, value and remedy."""
 
 
-def check_range(settings: Any, *names: str, low: float = -math.inf, high: float = math.inf) -> None:
+def check_range(settings: Any, *names: str, low: float = -math.inf, high: float = LARGEST) -> None:
     """Check that fields are finite and in [low, high]; for use in `__post_init__`.
 
     Raises:
@@ -19,11 +22,21 @@ def check_range(settings: Any, *names: str, low: float = -math.inf, high: float 
     """
     for name in names:
         value = getattr(settings, name)
-        if math.isfinite(value) and low <= value <= high:
+        if low <= value <= high:
             continue
-        wanted = f"at least {low}" if math.isinf(high) else f"between {low} and {high}"
-        wanted = wanted if math.isfinite(value) else "finite"
-        raise ValueError(f"{name} must be {wanted}, got {value}")
+        if isinstance(value, float) and not math.isfinite(value):
+            wanted = "finite"
+        elif high != LARGEST:
+            wanted = f"between {low} and {high}"
+        else:
+            wanted = f"at most {high}" if value > high else f"at least {low}"
+        raise ValueError(f"{name} must be {wanted}, got {_show(value)}")
+
+
+def _show(value: Any) -> str:
+    from envs_jax.choices import show  # It imports JAX, which correct options do not wait for.
+
+    return show(value)
 
 
 def check_indices(settings: Any, name: str) -> None:
@@ -34,7 +47,7 @@ def check_indices(settings: Any, name: str) -> None:
     """
     value = getattr(settings, name)
     if any(index < 0 for index in value) or len(set(value)) < len(value):
-        raise ValueError(f"{name} must hold indices from 0, each once, got {list(value)}")
+        raise ValueError(f"{name} must hold indices from 0, each once, got {_show(list(value))}")
 
 
 def check_multiple(name: str, value: int, of_name: str, of: int) -> None:
@@ -53,10 +66,12 @@ def check_divides(name: str, value: int, of_name: str, of: int) -> None:
     """Check that `value` divides `of`; for use in `__post_init__`.
 
     Raises:
-        ValueError: It does not; the message begins with `name` and proposes the nearest divisor.
+        ValueError: It does not; the message begins with `name` and proposes a divisor near it.
     """
     if of % value:
-        near = min((d for d in range(1, of + 1) if of % d == 0), key=lambda d: abs(d - value))
+        window = range(max(1, value - 1000), min(of, value + 1000) + 1)
+        divisors = (d for d in window if of % d == 0)
+        near = min(divisors, key=lambda d: abs(d - value), default=math.gcd(value, of))
         raise ValueError(f"{name} {value} does not divide {of_name} = {of}: try {near}")
 
 

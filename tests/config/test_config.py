@@ -96,8 +96,8 @@ MISTAKES = [
     ({"seed": True}, "seed must be a whole number, got True"),
     ({"seed": Flag("true")}, "seed needs a value"),
     ({"seed": -1}, "seed must be between 0 and 4294967295, got -1"),
-    ({"num_seeds": 0}, "num_seeds must be at least 1, got 0"),
-    ({"eval_interval": 0}, "eval_interval must be at least 1, got 0"),
+    ({"num_seeds": 0}, "num_seeds must be between 1 and 100000, got 0"),
+    ({"eval_interval": 0}, "eval_interval must be between 1 and 4611686018427387904, got 0"),
     ({"eval_interval": Text("nan")}, "eval_interval must be a whole number, got nan"),
     (
         {"layout": "wokers"},
@@ -109,7 +109,7 @@ MISTAKES = [
     ({"algorithm.zero_reward_guard": "no"}, "algorithm.zero_reward_guard must be true or false"),
     ({"algorithm.skill_interval": 30}, "algorithm.ppo.rollout_length 100 is not a multiple of"),
     ({"algorithm.num_heads": 3}, "algorithm.num_heads 3 does not divide ppo.hidden_size = 64"),
-    ({"algorithm.num_skills": 0}, "algorithm.num_skills must be at least 1, got 0"),
+    ({"algorithm.num_skills": 0}, "algorithm.num_skills must be between 1 and 1024, got 0"),
     ({"algorithm.ppo.num_minibatches": 5}, "algorithm.ppo.num_minibatches 5 does not divide"),
     ({"algorithm.ppo.sequence_length": 7}, "algorithm.ppo.rollout_length 100 is not a multiple"),
     ({"algorithm.ppo.discount": 1.1}, "algorithm.ppo.discount must be between 0 and 1, got 1.1"),
@@ -138,7 +138,7 @@ def test_a_mistake_is_one_line_that_names_the_field(overrides, message):
     [
         ("a.toml", "seed = = 3", "a.toml is not valid TOML: Invalid value (at line 1, column 8)"),
         ("a.json", "{", "a.json is not valid JSON: "),
-        ("a.toml", "[algorithm]\nname = 3", "unknown algorithm.name '3'"),
+        ("a.toml", "[algorithm]\nname = 3", "unknown algorithm.name 3"),
         ("a.toml", "env = 3", "env must be a table"),
     ],
 )
@@ -181,3 +181,84 @@ def test_metrics_are_logged_at_every_stop():
         assert plan.checkpoint_every % plan.log_every == 0
     assert plan.next_stop(0) == plan.log_every
     assert plan.next_stop(plan.num_updates - 1) == plan.num_updates
+
+
+TOO_DEEP = "[" * 2000
+HUGE = "1" * 400
+NONSENSE = [
+    ("[env]\nname = [1]", "unknown env.name "),
+    ("[env.name]\nx = 3", "unknown env.name "),
+    (f"seed = {HUGE}", "seed must be between 0 and 4294967295, got 1111"),
+    (f"seed = {'1' * 5000}", "is not valid TOML: Exceeds the limit"),
+    (
+        f"seed = 0x{'f' * 5000}",
+        "seed must be between 0 and 4294967295, got a number of many digits",
+    ),
+    (f"[algorithm.ppo]\nlearning_rate = {HUGE}", "algorithm.ppo.learning_rate must be a number"),
+    (f"seed = {TOO_DEEP}", "is not valid TOML: it is nested too deeply"),
+    ("num_seeds = 1e30", "num_seeds must be between 1 and 100000, got 1000000"),
+    ("eval_episodes = 1e12", "eval_episodes must be between 1 and 1000000, got 1000000000000"),
+    ("total_env_steps = 1e30", "total_env_steps must be between 1 and "),
+    ("log_interval = 1e30", "log_interval must be between 1 and "),
+    ("total_env_steps = 1e18", "total_env_steps 1000000000000000000 takes 312500000000000 updates"),
+    ("[env]\nmax_steps = 3000000000", "env.max_steps must be at most 2147483647, got 3000000000"),
+    (
+        "[algorithm.ppo]\nhidden_size = 1e30",
+        "algorithm.ppo.hidden_size must be between 1 and 65536",
+    ),
+    (
+        "[algorithm.ppo]\nnum_envs = 1e10\nnum_minibatches = 7",
+        "algorithm.ppo.num_envs must be at most 2147483647, got 10000000000",
+    ),
+    (
+        "[algorithm.ppo]\nnum_envs = 2000000000\nrollout_length = 10",
+        "algorithm.ppo.num_envs x rollout_length must be at most 2147483647",
+    ),
+    (
+        "[algorithm.ppo]\nnum_envs = 20000000\nnum_minibatches = 1999999973",
+        "algorithm.ppo.num_minibatches 1999999973 does not divide",
+    ),
+    ("[algorithm]\nnum_skills = 1e9", "algorithm.num_skills must be between 1 and 1024"),
+    ('"a\\nb" = 3', "unknown key 'a\\nb' (known: env"),
+    (f'layout = "{"x" * 10_000}"', "layout must be one of auto, "),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), NONSENSE, ids=lambda x: str(x)[:40])
+def test_nonsense_is_one_short_line_at_once(text, message, tmp_path):
+    path = tmp_path / "a.toml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as error:
+        make_plan(load(path))
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
+
+
+@pytest.mark.parametrize("text", ["[]", "null", "3", '"env"', TOO_DEEP, '{"seed": 1, "seed": 2}'])
+def test_a_json_file_that_is_no_table_is_named(text, tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"^[^\n]*a.json is [^\n]*$"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["1\nseed = 3", "1 # a comment", "1, 2", "1,", "", "= 1", "[", TOO_DEEP, HUGE, "1979-05-27"],
+)
+def test_a_typed_value_is_one_value_and_nothing_else(text):
+    with pytest.raises(ConfigError, match=r"^num_seeds must be [^\n]*$"):
+        load(None, {"num_seeds": Text(text)})
+
+
+def test_a_name_of_an_environment_is_no_table():
+    with pytest.raises(ConfigError, match=r"unknown env\.name"):
+        load(None, {"env.name.x": Text("3")})
+
+
+def test_the_largest_interval_means_never():
+    config = load(None, {"eval_interval": 2**62, "log_interval": 2**62})
+    plan = make_plan(config)
+    assert plan.num_evaluations == 2
+    assert plan.next_stop(0) == plan.num_updates

@@ -43,7 +43,8 @@ class MATConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
-        check_range(self, "num_blocks", "num_heads", low=1)
+        check_range(self, "num_heads", low=1)
+        check_range(self, "num_blocks", low=1, high=100)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", self.ppo.hidden_size)
 
 

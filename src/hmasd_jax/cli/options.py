@@ -1,5 +1,6 @@
 """Options of every command. They import no JAX, so that the list of commands appears at once."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,7 +59,7 @@ class TrainOptions(RunOptions):
     """Index of the seed to train; its numbers are those of this seed in `seed_sweep`."""
 
     def __post_init__(self) -> None:
-        check_range(self, "seed_index", low=0)
+        check_range(self, "seed_index", low=0)  # Larger indices belong to keys of evaluations.
 
     @property
     def repeated(self) -> list[str]:
@@ -102,6 +103,9 @@ class GridOptions(RunOptions):
         """
         name, equals, values = self.vary.partition("=")
         found = [value.strip() for value in values.split(",")]
+        for value in found:
+            if not value.isprintable() or "/" in value or os.sep in value:
+                raise ConfigError(f"--vary: {value!r} cannot name a folder; give it in a TOML file")
         if not (name and equals and all(found)) or len(set(found)) < len(found):
             raise ConfigError(
                 "--vary must name a setting and its values, each once, as in "

@@ -4,14 +4,13 @@ The values come from TOML files, JSON files and command lines.
 """
 
 import dataclasses
-import tomllib
 import types
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from envs_jax.choices import suggest
-from hmasd_jax.validation import ConfigError
+from envs_jax.choices import show, suggest
+from hmasd_jax.validation import ConfigError, parse_toml
 
 T = TypeVar("T")
 NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text"}
@@ -42,12 +41,13 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
         ConfigError: A key is unknown or missing, a value has another type, or `cls` refuses it.
     """
     if not isinstance(table, Mapping):
-        raise ConfigError(f"{path} must be a table of settings, got {table!r}")
+        raise ConfigError(f"{path} must be a table of settings, got {show(table)}")
     fields = {f.name: f for f in dataclasses.fields(cls) if f.init}  # pyrefly: ignore
     hints = get_type_hints(cls)
     for key in table:
         if key not in fields:
-            raise ConfigError(f"unknown key {_join(path, key)}{suggest(key, fields)}")
+            named = key if str(key).isprintable() else show(key)
+            raise ConfigError(f"unknown key {_join(path, named)}{suggest(key, fields)}")
     for name, field in fields.items():
         required = field.default is field.default_factory is dataclasses.MISSING
         if required and name not in table:
@@ -92,8 +92,8 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
     if origin is tuple and was_typed and not isinstance(value, list):
         value = [value]  # On a command line a list of one value is written as that value.
     if origin is tuple and isinstance(value, list | tuple):
-        return tuple(convert(item, options[0], path) for item in value)
-    if annotation is float and type(value) is int:
+        return _convert_items(value, options, path)
+    if annotation is float and type(value) is int and abs(value) < 2**63:
         return float(value)
     if annotation is int and type(value) is float and value.is_integer():
         return int(value)
@@ -102,7 +102,16 @@ def convert(value: Any, annotation: Any, path: str) -> Any:
     if type(value) is annotation:
         return value
     wanted = "a list such as [0, 1]" if origin is tuple else NAMES.get(annotation, annotation)
-    raise ConfigError(f"{path} must be {wanted}, got {value!r}")
+    raise ConfigError(f"{path} must be {wanted}, got {show(value)}")
+
+
+def _convert_items(values: Sequence[Any], types: tuple, path: str) -> tuple:
+    """Convert the items of a list to the types of a `tuple[X, ...]` or a `tuple[X, Y]`."""
+    if types[-1] is Ellipsis:
+        types = types[:1] * len(values)
+    if len(values) != len(types):
+        raise ConfigError(f"{path} must hold {len(types)} values, got {show(list(values))}")
+    return tuple(convert(item, kind, path) for item, kind in zip(values, types))
 
 
 def _convert_choice(value: Any, choices: tuple, path: str) -> Any:
@@ -111,7 +120,7 @@ def _convert_choice(value: Any, choices: tuple, path: str) -> Any:
     if value in choices:
         return value
     known = ", ".join(map(str, choices))
-    raise ConfigError(f"{path} must be one of {known}; got {value!r}{suggest(value, choices)}")
+    raise ConfigError(f"{path} must be one of {known}; got {show(value)}{suggest(value, choices)}")
 
 
 def _convert_union(value: Any, options: tuple, path: str) -> Any:
@@ -133,9 +142,11 @@ def _parse(value: Any) -> Any:
         return value
     text = value.lower() if value.lower() in ("true", "false") else value
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        # In a list of two, the text is one value: no comment, comma or further line can follow it.
+        first, _ = parse_toml(f"value = [{text}, 0]".encode())["value"]
+    except ValueError:
         return str(value)
+    return first
 
 
 def _join(path: str, name: str) -> str:

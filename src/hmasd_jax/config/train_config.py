@@ -9,13 +9,19 @@ from typing import Any, Generic, Literal, TypeVar
 
 from envs_jax import Environment
 from envs_jax.alice_and_bob import AliceAndBob
-from envs_jax.choices import suggest
+from envs_jax.choices import show, suggest
 from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.config.from_table import from_table
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.types import Algorithm
-from hmasd_jax.validation import ConfigError, check_range, parse_json, parse_toml
+from hmasd_jax.validation import (
+    LARGEST,
+    ConfigError,
+    check_range,
+    parse_json,
+    parse_toml,
+)
 
 EnvT = TypeVar("EnvT")
 AlgorithmT = TypeVar("AlgorithmT")
@@ -32,7 +38,7 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     """Settings of one experiment; defaults are the paper's HMASD on Alice_and_Bob (Tables 1 to 3).
 
     Raises:
-        ValueError: A number is out of range, or `total_env_steps` is less than one update.
+        ValueError: A number is out of range, or `total_env_steps` takes too few or many updates.
     """
 
     env: EnvT = field(default_factory=AliceAndBob)  # pyrefly: ignore
@@ -63,8 +69,10 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
 
     def __post_init__(self) -> None:
         intervals = ("eval_interval", "log_interval", "checkpoint_interval")
-        counts = ("eval_episodes", "keep_checkpoints", "num_seeds")
-        check_range(self, "total_env_steps", *intervals, *counts, low=1)
+        check_range(self, "total_env_steps", *intervals, low=1, high=2**62)
+        check_range(self, "eval_episodes", low=1, high=1_000_000)
+        check_range(self, "num_seeds", low=1, high=100_000)
+        check_range(self, "keep_checkpoints", low=1)
         check_range(self, "seed", low=0, high=2**32 - 1)
         per_update = self.env_steps_per_update
         if self.total_env_steps < per_update:
@@ -72,6 +80,12 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
                 f"total_env_steps {self.total_env_steps} is less than one update takes "
                 f"({per_update} = algorithm.ppo.num_envs x algorithm.ppo.rollout_length): "
                 "raise it or lower those"
+            )
+        if self.total_env_steps // per_update > LARGEST:
+            raise ValueError(
+                f"total_env_steps {self.total_env_steps} takes "
+                f"{self.total_env_steps // per_update} updates: lower it to at most "
+                f"{LARGEST * per_update}"
             )
 
     @property
@@ -197,7 +211,7 @@ def read_table(path: Path) -> dict[str, Any]:
         kind = "JSON" if path.suffix == ".json" else "TOML"
         raise ConfigError(f"{path} is not valid {kind}: {error}") from error
     if not isinstance(table, dict):
-        raise ConfigError(f"{path} is damaged: it must hold a table of settings, got {table!r:.40}")
+        raise ConfigError(f"{path} is damaged: it must hold a table of settings, got {show(table)}")
     return table
 
 
@@ -206,14 +220,14 @@ def subtable(table: Mapping[str, Any], name: str) -> dict[str, Any]:
     section = table.get(name, {})
     if not isinstance(section, Mapping):
         raise ConfigError(
-            f'{name} must be a table with a name, e.g. [{name}] name = "...", got {section!r}'
+            f'{name} must be a table with a name, e.g. [{name}] name = "...", got {show(section)}'
         )
     return dict(section)
 
 
 def _find(name: Any, registry: Mapping[str, Any], path: str) -> Any:
-    if name not in registry:
-        raise ConfigError(f"unknown {path} {str(name)!r}{suggest(name, registry)}")
+    if not (isinstance(name, str) and name in registry):
+        raise ConfigError(f"unknown {path} {show(name)}{suggest(name, registry)}")
     return registry[name]
 
 

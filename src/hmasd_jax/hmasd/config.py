@@ -90,9 +90,11 @@ class HMASDConfig:
 
     def __post_init__(self) -> None:
         ppo = self.ppo
-        check_range(self, "skill_interval", "num_team_skills", "num_skills", low=1)
+        check_range(self, "skill_interval", low=1)
+        check_range(self, "num_team_skills", "num_skills", low=1, high=1024)
         check_range(self, "low_entropy_decay_updates", low=0)
-        check_range(self, "discriminator_epochs", "num_blocks", "num_heads", low=1)
+        check_range(self, "discriminator_epochs", "num_heads", low=1)
+        check_range(self, "num_blocks", low=1, high=100)
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)

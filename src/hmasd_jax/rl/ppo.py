@@ -7,7 +7,7 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.types import Metrics
-from hmasd_jax.validation import check_divides, check_multiple, check_range
+from hmasd_jax.validation import LARGEST, check_divides, check_multiple, check_range
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,14 @@ class PPOConfig:
     """L, steps of backpropagation through time. Rollouts are cut into sequences of this length."""
 
     def __post_init__(self) -> None:
-        counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches", "hidden_size")
+        counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches")
         check_range(self, *counts, "sequence_length", low=1)
+        check_range(self, "hidden_size", low=1, high=2**16)
+        if self.num_envs * self.rollout_length > LARGEST:
+            raise ValueError(
+                f"num_envs x rollout_length must be at most {LARGEST}, got {self.num_envs} x "
+                f"{self.rollout_length}"
+            )
         check_range(self, "decay_updates", low=0)
         check_range(self, "learning_rate", "adam_epsilon", "max_grad_norm", "clip_epsilon", low=0)
         check_range(self, "value_coef", "huber_delta", low=0)

@@ -1,8 +1,10 @@
 """Schedule of a run in updates: its length, and the intervals of logs and checkpoints."""
 
+import math
 from dataclasses import dataclass
 
 from hmasd_jax.config import TrainConfig
+from hmasd_jax.validation import LARGEST
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,9 @@ def make_plan(config: TrainConfig) -> Plan:
     updates, wherever a run is interrupted and resumed.
     """
     per_update = config.env_steps_per_update
-    eval_every = max(1, round(config.eval_interval / per_update))
+    eval_every = min(max(1, round(config.eval_interval / per_update)), LARGEST)
     wanted = max(1, round(config.log_interval / per_update))
-    log_every = max(d for d in range(1, wanted + 1) if eval_every % d == 0)
+    log_every = max(d for d in divisors(eval_every) if d <= wanted)
     saves = max(1, round(config.checkpoint_interval / per_update / log_every))
     return Plan(
         env_steps_per_update=per_update,
@@ -61,3 +63,9 @@ def make_plan(config: TrainConfig) -> Plan:
         eval_every=eval_every,
         checkpoint_every=saves * log_every,
     )
+
+
+def divisors(number: int) -> set[int]:
+    """Return all divisors of a number of at least 1."""
+    small = [d for d in range(1, math.isqrt(number) + 1) if number % d == 0]
+    return {*small, *(number // d for d in small)}
