@@ -17,7 +17,7 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.choices import check_choice, check_whole, suggest
+from envs_jax.choices import check_choice, check_whole, show, suggest
 from envs_jax.micro_battle.constants import column, unit_constants
 from envs_jax.micro_battle.observations import (
     DIRECTIONS,
@@ -75,10 +75,11 @@ class MicroBattle:
     """Time limit of an episode in environment steps; None takes that of the scenario."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.scenario, Scenario) and self.scenario not in SCENARIOS:
+        known = isinstance(self.scenario, str) and self.scenario in SCENARIOS
+        if not isinstance(self.scenario, Scenario) and not known:
             hint = suggest(self.scenario, SCENARIOS)
             raise ValueError(
-                f"scenario {self.scenario!r} is unknown{hint}; give a known name or a Scenario"
+                f"scenario {show(self.scenario)} is unknown{hint}; give a known name or a Scenario"
             )
         check_choice("balance", self.balance, Balance)
         check_choice("observation", self.observation, Observation)

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from envs_jax.choices import check_whole, suggest
+from envs_jax.choices import check_whole, show, suggest
 from envs_jax.micro_battle.unit_types import UNIT_TYPES
 
 Rectangle = tuple[int, int, int, int]
@@ -34,9 +34,9 @@ class Scenario:
     The allies are the agents, in the given order. Enemies are numbered in the given order too.
 
     Raises:
-        ValueError: A side has no units, a unit is unknown, there is no floor, a unit starts in a
-            wall or in another unit, a goal is in a wall, there are more than two goals, or
-            `max_steps` or `jitter` is out of range.
+        ValueError: A side has no units, a unit is unknown, there is no floor on the map, a unit
+            starts in a wall or in another unit, a goal is in a wall, there are more than two goals,
+            or `size`, `max_steps` or `jitter` is out of range.
     """
 
     allies: tuple[Spawn, ...]
@@ -59,12 +59,16 @@ class Scenario:
 
     def __post_init__(self) -> None:
         check_whole("max_steps", self.max_steps)
+        if len(self.size) != 2:
+            raise ValueError(f"size must be width and height, got {show(self.size)}")
+        for length in self.size:
+            check_whole("size", length)
         if not (math.isfinite(self.jitter) and self.jitter >= 0):
             raise ValueError(f"jitter must be finite and at least 0, got {self.jitter}")
-        if not self.floor or any(x0 >= x1 or y0 >= y1 for x0, y0, x1, y1 in self.floor):
+        if not self.floor or not all(self._is_on_map(rectangle) for rectangle in self.floor):
             raise ValueError(
-                "floor must be rectangles (left, bottom, right, top) that are not empty, "
-                f"got {self.floor}"
+                "floor must be rectangles (left, bottom, right, top) that are not empty, on a map "
+                f"of size {self.size}; got {show(self.floor)}"
             )
         for side in ("allies", "enemies"):
             self._check_units(side)
@@ -73,6 +77,11 @@ class Scenario:
         for goal in self.goals:
             if not is_floor(self.floor, *goal):
                 raise ValueError(f"goals: {goal} is in a wall; move it onto the floor")
+
+    def _is_on_map(self, rectangle: Rectangle) -> bool:
+        left, bottom, right, top = rectangle
+        width, height = self.size
+        return 0 <= left < right <= width and 0 <= bottom < top <= height
 
     def _check_units(self, side: str) -> None:
         spawns = getattr(self, side)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from envs_jax.choices import check_choice, check_whole
+from envs_jax.choices import check_choice, check_whole, show
 from envs_jax.overcooked import features, layouts, lossless
 from envs_jax.overcooked.layouts import Kitchen
 from envs_jax.overcooked.render import COOKS, draw
@@ -83,6 +83,8 @@ class Overcooked:
     agent_colors: ClassVar[tuple] = COOKS
 
     def __post_init__(self) -> None:
+        if not isinstance(self.layout, str):
+            raise ValueError(f"layout must be a name or lines of text, got {show(self.layout)}")
         layouts.read(self.layout)
         check_whole("max_steps", self.max_steps)
         check_choice("start_cooking", self.start_cooking, StartCooking)

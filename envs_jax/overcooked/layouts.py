@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from envs_jax.choices import suggest
+from envs_jax.choices import show, suggest
 from envs_jax.overcooked.rules import COUNTER, DISHES, FLOOR, ONIONS, POT, SERVING
 
 LAYOUTS = {
@@ -100,8 +100,8 @@ def read(layout: str) -> Kitchen:
     Raises:
         ValueError: The name is unknown, or the kitchen is not valid.
     """
-    if layout not in LAYOUTS and "\n" not in str(layout).strip():
-        raise ValueError(f"layout {layout!r} is unknown{suggest(layout, LAYOUTS)}")
+    if layout not in LAYOUTS and "\n" not in layout.strip():
+        raise ValueError(f"layout {show(layout)} is unknown{suggest(layout, LAYOUTS)}")
     rows = textwrap.dedent(LAYOUTS.get(layout, layout)).strip("\n").split("\n")
     _check(rows)
     text = "".join(rows)
@@ -144,3 +144,43 @@ def _check(rows: list[str]) -> None:
     border = rows[0] + rows[-1] + "".join(row[0] + row[-1] for row in rows)
     if set(border) & set(" 12"):
         raise ValueError("layout: the border has a floor cell; close it, for example with X")
+    _check_soups("".join(rows), len(rows[0]))
+
+
+def _check_soups(text: str, width: int) -> None:
+    """Raise a `ValueError` unless the players, alone or together, can serve a soup.
+
+    Players pass things to each other over a counter that both can face, and over pots.
+    """
+    faced = [_reach(text, width, text.index(player)) for player in "12"]
+    shared = any(text[cell] == "X" for cell in faced[0] & faced[1])
+
+    def carriers(players: list[set[int]], cells: set[int]) -> list[set[int]]:
+        """Return what is faced by each player that can hold a thing which `players` get there."""
+        able = [player for player in players if player & cells]
+        return faced if able and shared else able
+
+    of = {letter: {c for c, x in enumerate(text) if x == letter} for letter in "PODS"}
+    pots = set().union(*carriers(faced, of["O"])) & of["P"]
+    with_soup = carriers(carriers(faced, of["D"]), pots)
+    can_serve = any(player & of["S"] for player in with_soup)
+    for can, task in ((pots, "bring onions to a pot"), (can_serve, "serve a soup")):
+        if not can:
+            raise ValueError(
+                f"layout: the players cannot {task}; open a way, or give them a counter that both "
+                "can face"
+            )
+
+
+def _reach(text: str, width: int, start: int) -> set[int]:
+    """Return the cells that are no floor and that a player who starts at `start` can face."""
+    seen, faced, waiting = {start}, set(), [start]
+    while waiting:
+        cell = waiting.pop()
+        for front in (cell - width, cell + width, cell - 1, cell + 1):
+            if text[front] not in " 12":
+                faced.add(front)
+            elif front not in seen:
+                seen.add(front)
+                waiting.append(front)
+    return faced

@@ -209,6 +209,32 @@ def test_exit_code_of_the_process():
     assert done.stderr == "error: seed must be a whole number, got 'x'\n"
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("file", "file is a file: choose another --run-dir"),
+        ("folder", "folder is not empty, and not a run folder: choose another --run-dir"),
+        ("run", "run exists: continue it with --resume, or choose another --run-dir"),
+    ],
+)
+def test_a_path_in_use_is_no_run_folder(name, message, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("file", "folder/notes.txt", "run/config.json"):
+        (tmp_path / file).parent.mkdir(exist_ok=True)
+        (tmp_path / file).write_text("")
+    assert main(["train", "--run-dir", name]) == 2
+    assert capsys.readouterr().err == f"error: {message}\n"
+    assert (tmp_path / "run/config.json").read_text() == ""
+
+
+def test_a_full_device_is_told_in_one_line():
+    with open("/dev/full", "w") as full:
+        command = [sys.executable, "-m", "hmasd_jax.train", "--help"]
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True)
+    assert done.returncode == 2
+    assert done.stderr == "error: cannot write the help: No space left on device\n"
+
+
 @pytest.mark.parametrize("words", [["--help"], ["plot", "--help"], ["train", "--help"]])
 def test_a_reader_of_the_help_may_leave_early(words):
     read, write = os.pipe()

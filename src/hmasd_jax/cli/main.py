@@ -152,8 +152,10 @@ def _print_help(words: list[str]) -> None:
         else:
             print(usage())
         sys.stdout.flush()
-    except BrokenPipeError:  # The reader has left, as in `--help | head`.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # What is left to flush.
+        if not isinstance(error, BrokenPipeError):  # Its reader has left, as in `--help | head`.
+            raise ConfigError(f"cannot write the help: {error.strerror}") from error
 
 
 def _describe(name: str, words: list[str]) -> None:

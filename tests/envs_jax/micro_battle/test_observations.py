@@ -137,6 +137,9 @@ def test_jitter_is_a_setting_of_the_scenario(jitter):
 SMALL = Scenario((Spawn("marine", 2.0, 2.0),), (Spawn("zealot", 6.0, 6.0),), ((0, 0, 8, 8),))
 
 
+OFF_MAP = "floor must be rectangles (left, bottom, right, top) that are not empty, on a map of"
+
+
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
@@ -156,6 +159,18 @@ SMALL = Scenario((Spawn("marine", 2.0, 2.0),), (Spawn("zealot", 6.0, 6.0),), ((0
             "move it onto the floor",
         ),
         ({"enemies": (Spawn("zealot", 2.0, 2.0),)}, "allies[0]: another unit also starts at"),
+        ({"size": ()}, "size must be width and height, got ()"),
+        ({"size": (0, 0)}, "size must be at least 1, got 0"),
+        ({"size": (-5, -5)}, "size must be at least 1, got -5"),
+        (
+            {"size": (4, 4)},
+            OFF_MAP,
+        ),
+        (
+            {"floor": ((0, 0, 2**40, 8),)},
+            OFF_MAP,
+        ),
+        ({"max_steps": 2**31}, "max_steps must be at most 2147483647"),
         ({"floor": ()}, "floor must be rectangles (left, bottom, right, top) that are not empty"),
         ({"floor": ((4, 0, 4, 8),)}, "floor must be rectangles (left, bottom, right, top) that"),
         ({"goals": ((9.0, 1.0),)}, "goals: (9.0, 1.0) is in a wall; move it onto the floor"),

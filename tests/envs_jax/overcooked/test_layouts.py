@@ -113,6 +113,13 @@ def test_own_kitchen():
             "XXPXX\nO1 X2\nXXSXD",
             "layout: the border has a floor cell; close it, ",
         ),
+        # Walled in: one player, and the other has no dishes.
+        ("XXXXPXX\nX1XO2 S\nXXXXXXX\nDXXXXXX", "layout: the players cannot serve a soup; open"),
+        # Onions and pot belong to different players, who share no counter.
+        ("XOXXXPX\nX1XX2DX\nXXXXXSX", "layout: the players cannot bring onions to a pot; open"),
+        # Both can face the pot, but only the one without dishes faces the window.
+        ("XOXDX\nS1P2X\nXXXXX", "layout: the players cannot serve a soup; open a way, or give"),
+        ("X" * 10_000, "layout 'XXX"),
     ],
 )
 def test_invalid_kitchens_are_refused(layout, message):
@@ -122,9 +129,15 @@ def test_invalid_kitchens_are_refused(layout, message):
     assert "\n" not in str(error.value)
 
 
+def test_players_may_pass_things_over_a_counter_or_a_pot():
+    read("XOXPX\nX1X2S\nXXXDX")  # The onions go over the counter between them.
+    read("XOXDX\nX1P2S\nXXXXX")  # One fills the pot and the other empties it.
+
+
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
+        ("layout", [9.0], "layout must be a name or lines of text, got [9.0]"),
         ("max_steps", 0, "max_steps must be at least 1, got 0"),
         (
             "start_cooking",
