@@ -46,7 +46,7 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
     hints = get_type_hints(cls)
     for key in table:
         if key not in fields:
-            named = key if str(key).isprintable() else show(key)
+            named = key if str(key).isprintable() and len(key) < 80 else show(key)
             raise ConfigError(f"unknown key {_join(path, named)}{suggest(key, fields)}")
     for name, field in fields.items():
         required = field.default is field.default_factory is dataclasses.MISSING

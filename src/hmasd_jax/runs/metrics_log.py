@@ -236,8 +236,9 @@ def _is_number(value: Any, whole: bool) -> bool:
 def _tell(path: Path, log: Log) -> str | None:
     """Return the start of a sentence about damaged lines, or None if all of them are blank."""
     count = sum(bool(line.strip()) for line in log.damaged)
-    lines = "lines" if count > 1 else "line"
-    return f"{count} {lines} of {path} are no records of metrics" if count else None
+    if count == 1:
+        return f"1 line of {path} is no record of metrics"
+    return f"{count} lines of {path} are no records of metrics" if count else None
 
 
 @lru_cache  # Once for every message, although commands read a file several times.
