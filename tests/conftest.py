@@ -1,6 +1,22 @@
 """Settings that must stand before jax is imported: tests are bound by compile time."""
 
+import atexit
 import os
+import shutil
+import tempfile
+
+from hypothesis import settings
 
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # See `hmasd_jax.cli.main`.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # A program is compiled once for all tests, for all workers of pytest and for what they start.
+    programs = tempfile.mkdtemp(prefix="hmasd_jax_tests_")
+    atexit.register(shutil.rmtree, programs, ignore_errors=True)
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = programs
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+
+settings.register_profile("default", deadline=None, max_examples=60)
+settings.register_profile("long", deadline=None, max_examples=5000)
+settings.load_profile("default")

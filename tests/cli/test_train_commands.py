@@ -3,14 +3,12 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 
 from hmasd_jax.cli.main import main
-from hmasd_jax.cli.train_commands import keep_executables
 from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint, metrics_log
@@ -222,22 +220,6 @@ def test_auto_layout_takes_all_accelerators(monkeypatch):
     assert loop.choose_layout(config) == "vmap"
     monkeypatch.setattr(jax, "local_device_count", lambda: 2)
     assert loop.choose_layout(config) == "sharded"
-
-
-@pytest.mark.parametrize(
-    ("backend", "before", "after"),
-    [("cpu", None, None), ("gpu", None, "~/.cache/hmasd_jax"), ("gpu", "elsewhere", "elsewhere")],
-)
-def test_executables_are_kept_on_accelerators(backend, before, after, monkeypatch):
-    monkeypatch.setattr(jax, "default_backend", lambda: backend)
-    was = jax.config.jax_compilation_cache_dir
-    try:
-        jax.config.update("jax_compilation_cache_dir", before)
-        keep_executables()
-        kept = jax.config.jax_compilation_cache_dir
-        assert kept == (after and str(Path(after).expanduser()))
-    finally:
-        jax.config.update("jax_compilation_cache_dir", was)
 
 
 def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path, monkeypatch):

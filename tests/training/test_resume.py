@@ -110,9 +110,11 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
         },
     )
 
+    parts = build(config)  # Once, so that the programs are compiled once.
+
     def train(run, updates):
         stops = iter([False] * updates + [True])
-        job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops))
+        job = Job(run, config, *parts, (), lambda event: None, lambda: next(stops))
         return train_seeds(job, [0])[0].kind
 
     one, two = tmp_path / "one", tmp_path / "two"
@@ -131,9 +133,11 @@ def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
     """Resume seeds from different steps, each step in its own group."""
     config = load(None, SETTINGS | {"total_env_steps": 160})
 
+    built = build(config)  # Once, so that the programs are compiled once.
+
     def train(run, seeds, stops):
         stops = iter(stops)
-        job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops, False))
+        job = Job(run, config, *built, (), lambda event: None, lambda: next(stops, False))
         return {seed: event.kind for seed, event in train_seeds(job, seeds).items()}
 
     whole, parts = tmp_path / "whole", tmp_path / "parts"

@@ -15,6 +15,7 @@ from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
 from hmasd_jax.training.compiled import evaluation_key
+from hmasd_jax.training.executable_cache import use_cache
 from hmasd_jax.types import Key, Metrics
 
 
@@ -27,6 +28,7 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
     evaluation at that step.
     """
     config = read_config(options.run)
+    use_cache()
     episodes = options.episodes or config.eval_episodes
     folders = {index: checkpoint_folder(options.run, index) for index in seeds_of(options.run)}
     ready = {i: f for i, f in folders.items() if checkpoint.latest_step(f) is not None}
@@ -71,6 +73,7 @@ def render(options: RenderOptions) -> int:
     """Draw episodes as an animation and return the exit code."""
     from hmasd_jax.analysis.render import render_run
 
+    use_cache()
     out = render_run(
         options.run,
         options.out,

@@ -3,6 +3,7 @@
 Nothing here imports JAX before it is known what to run.
 """
 
+import importlib.util
 import os
 import sys
 from collections.abc import Callable
@@ -114,6 +115,7 @@ def main(words: list[str] | None = None) -> int:
         words: Words after the program's name; None takes those of this process.
     """
     words = sys.argv[1:] if words is None else words
+    _prepare_streams()
     wants_help = any(word in ("-h", "--help") for word in words)
     words = [word for word in words if word not in ("-h", "--help")]
     try:
@@ -135,6 +137,20 @@ def main(words: list[str] | None = None) -> int:
     except OSError as error:  # Most often a full disk.
         print(f"error: {error}; what was saved before stays usable", file=sys.stderr)
         return 1
+
+
+def _prepare_streams() -> None:
+    """Open absent streams to nothing, and keep XLA's false alarms off the screen.
+
+    XLA writes two long lines about SIGILL for each program that it loads from disk, also on the
+    machine that compiled it (JAX issue 38445). Errors of accelerators are left to be seen.
+    """
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # As after `>&-`.
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+    accelerators = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin", "libtpu")
+    if not any(importlib.util.find_spec(name) for name in accelerators):
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # JAX reads it when it is imported.
 
 
 def usage() -> str:

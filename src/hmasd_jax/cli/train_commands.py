@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import jax
 from rich.console import Console
 
 from hmasd_jax.cli import summary
@@ -20,6 +19,7 @@ from hmasd_jax.runs.folder import RunError, create, note_resume, read_config, sh
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.training import distributed
 from hmasd_jax.training.distributed import ALONE, Group
+from hmasd_jax.training.executable_cache import use_cache
 from hmasd_jax.training.job import Event, Job
 from hmasd_jax.training.loop import choose_layout, train_seeds
 from hmasd_jax.training.progress import Display
@@ -100,10 +100,10 @@ def _experiment(
     console = Console(quiet=not group.leads)
     run = options.run_dir or _default_folder(config)
     _prepare(run, config, options.resume, shell_command(words), group)
-    keep_executables()
     mine = group.share(seeds)
     text = describe(config, seeds, run, layout, group)
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    for line in filter(None, (text, use_cache())):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
     display = Display(console, mine, make_plan(config).env_steps)
     with stop_on_signal() as should_stop, display:
         job = Job(
@@ -141,18 +141,6 @@ def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], grou
         ok = group.follow(ok)
     if not ok:
         raise RunError("the first process could not prepare the run: see its message")
-
-
-def keep_executables() -> None:
-    """Let JAX cache compiled programs on disk, unless it was already told where.
-
-    CPUs are left out: a program cached there fits only one type of processor, and XLA's check of
-    the type is not reliable (JAX issue 38445).
-    """
-    told = jax.config.values["jax_compilation_cache_dir"]
-    if jax.default_backend() != "cpu" and told is None:
-        folder = Path.home() / ".cache" / "hmasd_jax"
-        jax.config.update("jax_compilation_cache_dir", str(folder))
 
 
 def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:

@@ -200,6 +200,19 @@ def lock(run: Path, index: int) -> Iterator[None]:
         yield
 
 
+@contextmanager
+def exclusive(path: Path) -> Iterator[None]:
+    """Wait until no other process holds this lock file, and hold it.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    with path.open("w") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
 def _commit() -> str | None:
     """Return the commit of the checkout of this package, with `+` if there are changes."""
     here = Path(__file__).parent

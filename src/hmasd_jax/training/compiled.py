@@ -12,6 +12,7 @@ from jaxtyping import Array, Bool
 from envs_jax import Environment
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.rl.evaluate import evaluate
+from hmasd_jax.training.executable_cache import load_or_compile
 from hmasd_jax.types import Algorithm, Key, Learner, Metrics
 
 BatchLayout = Literal["vmap", "map", "sharded"]
@@ -102,13 +103,25 @@ def compile_programs(
     count = jax.ShapeDtypeStruct((), jnp.int32)
     advance_seeds = jax.jit(batched(advance, num_seeds, layout, (0, None)), donate_argnums=0)
     evaluate_seeds = jax.jit(batched(play, num_seeds, layout, (0, 0)))
-    programs = (
-        build_executable(init_seeds, keys, runs_once=True),
-        build_executable(advance_seeds, states, count),
-        build_executable(evaluate_seeds, states, keys),
+    lowered = (
+        lower(init_seeds, keys),
+        lower(advance_seeds, states, count),
+        lower(evaluate_seeds, states, keys),
+    )
+    programs = load_or_compile(
+        lowered,
+        lambda: tuple(compile_lowered(x, runs_once=x is lowered[0]) for x in lowered),
+        lambda programs: _first_update(keys, *programs),
     )
     memory_bytes = max(_memory_bytes(program) for program in programs)
     return Programs(num_seeds, *programs, memory_bytes, time.perf_counter() - start)
+
+
+def _first_update(keys: Key, init: Callable, advance: Callable, evaluate: Callable) -> Any:
+    """Return what the programs of a run compute in the first update of some seeds."""
+    advanced = advance(init(keys), jnp.int32(1))
+    leaves = jax.tree.leaves((advanced, evaluate(advanced.states, keys)))
+    return [x for x in leaves if not jnp.issubdtype(x.dtype, jax.dtypes.prng_key)]
 
 
 def build_executable(
@@ -116,26 +129,44 @@ def build_executable(
 ) -> jax.stages.Compiled:
     """Trace and compile a jitted function with options that save compile time.
 
-    On a CPU, programs are compiled at LLVM's first level of optimization. HMASD runs as fast as at
-    the last level, and its `init` compiles in two thirds of the time. Garbage is collected after
-    tracing, because the collector would otherwise take a fourth of the tracing time.
-
     Args:
         function: Jitted function.
         *args: Arguments, or their shapes and dtypes.
+        runs_once: If True, optimize nothing on a CPU.
+    """
+    return compile_lowered(lower(function, *args), runs_once)
+
+
+def lower(function: jax.stages.Wrapped, *args: Any) -> jax.stages.Lowered:
+    """Trace a jitted function.
+
+    Garbage is collected afterwards, because the collector would otherwise take a fourth of the
+    time.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        return function.lower(*args)
+    finally:
+        if collects:
+            gc.enable()
+
+
+def compile_lowered(lowered: jax.stages.Lowered, runs_once: bool = False) -> jax.stages.Compiled:
+    """Compile a traced function.
+
+    On a CPU, programs are compiled at LLVM's first level of optimization. HMASD runs as fast as at
+    the last level, and its `init` compiles in two thirds of the time.
+
+    Args:
+        lowered: Traced function.
         runs_once: If True, optimize nothing on a CPU.
     """
     options: dict[str, str | bool] = {}
     if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
         options["xla_backend_optimization_level"] = "0" if runs_once else "1"
         options["xla_cpu_use_fusion_emitters"] = not runs_once
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        return function.lower(*args).compile(options)
-    finally:
-        if collects:
-            gc.enable()
+    return lowered.compile(options)
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:

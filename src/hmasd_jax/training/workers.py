@@ -23,6 +23,7 @@ import jax
 
 from hmasd_jax.config import build, from_json, to_json
 from hmasd_jax.runs.folder import available_cores, seed_folder
+from hmasd_jax.training.executable_cache import use_cache
 from hmasd_jax.training.host_memory import keep_freed, workers_at_once
 from hmasd_jax.training.job import ENDS, Event, Job
 from hmasd_jax.training.loop import train_seeds
@@ -200,6 +201,7 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
     """
     terminated = _take_signals()
     pin(core)
+    use_cache()  # The parent has told if there is none.
 
     def report(event: Event) -> None:
         with suppress(OSError):  # the parent is gone; `poll` then returns True
