@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hmasd_jax.cli.main import main
+from hmasd_jax.cli.train_commands import next_step
 from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint, metrics_log
@@ -43,6 +44,32 @@ def alone(tmp_path_factory):
     run = tmp_path_factory.mktemp("alone") / "run"
     assert main(["train", "--run-dir", str(run), "--seed-index", "1", *words()]) == 0
     return run
+
+
+def test_a_finished_run_ends_with_its_plot_and_a_next_step(tmp_path, capsys):
+    assert main(["train", "--run-dir", str(tmp_path / "run"), *words(total_env_steps=40)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (compiling,) = [line for line in lines if line.startswith("compiling, which takes minutes")]
+    assert lines.index(compiling) < lines.index("seed 0: fresh")
+    render = f"python -m hmasd_jax.train render {tmp_path}/run"
+    assert lines[-2:] == [
+        f"curves: {tmp_path}/run/curves.png",
+        f"see what was learned: {render} --out episode.gif",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "seed", "end"),
+    [
+        ("hmasd", 0, "see what the skills do: {} --team-skill 0 --out skill_0.gif"),
+        ("mappo", 3, "see what was learned: {} --seed-index 3 --out episode.gif"),
+    ],
+)
+def test_the_next_step_is_a_command_for_this_run(algorithm, seed, end, tmp_path):
+    create(tmp_path / "a run", load(None, {"algorithm.name": algorithm}), [])
+    (tmp_path / "a run" / f"seed_{seed}").mkdir()
+    command = f"python -m hmasd_jax.train render '{tmp_path}/a run'"
+    assert next_step(tmp_path / "a run") == end.format(command)
 
 
 def test_a_run_folder_holds_everything(alone):

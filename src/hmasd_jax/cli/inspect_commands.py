@@ -4,8 +4,11 @@ Their packages for drawing are optional, so they are imported by the command tha
 """
 
 import sys
+from collections.abc import Callable
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
@@ -14,8 +17,8 @@ from hmasd_jax.config import build, to_json
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
-from hmasd_jax.training.compiled import evaluation_key
-from hmasd_jax.training.executable_cache import use_cache
+from hmasd_jax.training.compiled import compile_lowered, evaluation_key, lower
+from hmasd_jax.training.executable_cache import load_or_compile, use_cache
 from hmasd_jax.types import Key, Metrics
 
 
@@ -37,11 +40,11 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
     env, algorithm = build(config)
     template = checkpoint.state_template(algorithm)
 
-    @jax.jit
-    def evaluation(state: object, key: Key) -> Metrics:
+    def evaluation(state: Any, key: Key) -> Metrics:
         policy = algorithm.policy(state, greedy=not options.sampled)
         return evaluate(env, policy, key, episodes)
 
+    program = _compile(evaluation, template)
     rows, faults = [], []
     for index, folder in ready.items():
         try:
@@ -49,7 +52,7 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
         except checkpoint.CheckpointError as error:
             faults.append(f"seed {index}: {error}")
             continue
-        metrics = evaluation(state, evaluation_key(config, index, env_steps))
+        metrics = program(state, evaluation_key(config, index, env_steps))
         rows.append((index, env_steps, {k: float(v) for k, v in metrics.items()}))
     if rows:
         mode = "sampled" if options.sampled else "greedy"
@@ -59,6 +62,22 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
     for fault in faults:
         print(f"error: {fault}", file=sys.stderr)
     return 1 if faults else 0
+
+
+def _compile(evaluation: Callable[[Any, Key], Metrics], template: Any) -> Callable[..., Metrics]:
+    """Compile a function of a train state and a key, or load it from disk."""
+    key = jax.random.key(0)
+
+    def fill(leaf: jax.ShapeDtypeStruct) -> jax.Array:
+        is_key = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+        return jax.random.split(key, leaf.shape) if is_key else jnp.zeros(leaf.shape, leaf.dtype)
+
+    lowered = lower(jax.jit(evaluation), template, key)
+    return load_or_compile(
+        [lowered],
+        lambda: compile_lowered(lowered),
+        lambda program: program(jax.tree.map(fill, template), key),
+    )
 
 
 def _print_rows(rows: list[tuple[int, int, dict[str, float]]], title: str) -> None:
@@ -73,7 +92,6 @@ def render(options: RenderOptions) -> int:
     """Draw episodes as an animation and return the exit code."""
     from hmasd_jax.analysis.render import render_run
 
-    use_cache()
     out = render_run(
         options.run,
         options.out,

@@ -15,7 +15,14 @@ from hmasd_jax.cli.options import GridOptions, RunOptions, SweepOptions, TrainOp
 from hmasd_jax.cli.parse import drop_options
 from hmasd_jax.config import TrainConfig, build, from_json, identity, override, to_json
 from hmasd_jax.config.from_table import Text
-from hmasd_jax.runs.folder import RunError, create, note_resume, read_config, shell_command
+from hmasd_jax.runs.folder import (
+    RunError,
+    create,
+    note_resume,
+    read_config,
+    seeds_of,
+    shell_command,
+)
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.training import distributed
 from hmasd_jax.training.distributed import ALONE, Group
@@ -237,7 +244,20 @@ def conclude(console: Console, run: Path, results: dict[int, Event], again: str)
         hint = f"to resume failed seeds from their last checkpoints: {again}"
         console.print(hint, markup=False, soft_wrap=True)
     summary.plot(console, run)
+    if code == 0:
+        console.print(next_step(run), markup=False, highlight=False, soft_wrap=True)
     return code
+
+
+def next_step(run: Path) -> str:
+    """Return a line with a command that shows what a finished run has learned."""
+    words = ["python", "-m", "hmasd_jax.train", "render", str(run)]
+    if first := seeds_of(run)[0]:
+        words += ["--seed-index", str(first)]
+    render = shlex.join(words)
+    if hasattr(read_config(run).algorithm, "num_team_skills"):
+        return f"see what the skills do: {render} --team-skill 0 --out skill_0.gif"
+    return f"see what was learned: {render} --out episode.gif"
 
 
 def exit_code(results: dict[int, Event]) -> int:

@@ -16,7 +16,7 @@ class Event(NamedTuple):
     """News about one seed."""
 
     kind: str
-    """`start`, `note`, `compiled`, `train`, `eval`, or one of `ENDS`."""
+    """`compiling`, `start`, `note`, `compiled`, `train`, `eval`, or one of `ENDS`."""
     seed: int
     """Index of the seed."""
     data: dict[str, Any]

@@ -59,6 +59,7 @@ def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
             seed.report("start", env_steps=env_steps)
             seed.end("finished", env_steps=env_steps)
         return
+    job.report(Event("compiling", seeds[0].index, {}))
     size = host_memory.seeds_at_once(len(seeds), lambda n: _programs(job, n).memory_bytes)
     for first in range(0, len(seeds), size):
         batch = seeds[first : first + size]

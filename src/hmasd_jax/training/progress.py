@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TextColumn
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 from hmasd_jax.training.job import ENDS, Event
 
@@ -58,11 +58,12 @@ class Display:
         self._tracks = {seed: Track() for seed in seeds}
         self._last_line = time.monotonic()
         self._live = console.is_terminal
-        self._compiled = False
+        self._compiling = self._compiled = False
         columns = (
             TextColumn("{task.description}"),
             BarColumn(bar_width=20),
             TextColumn("{task.percentage:>3.0f}%"),
+            TimeElapsedColumn(),
             TextColumn("{task.fields[text]}"),
         )
         self._progress = Progress(*columns, console=console, disable=not self._live)
@@ -80,7 +81,10 @@ class Display:
     def handle(self, event: Event) -> None:
         """Update the display with one event."""
         track = self._tracks[event.seed]
-        if event.kind == "start":
+        if event.kind == "compiling" and not self._compiling:
+            self._compiling = True
+            self._print("compiling, which takes minutes at the first start and seconds later")
+        elif event.kind == "start":
             self._start(event, track)
         elif event.kind == "note":
             self._print(f"seed {event.seed}: {event.data['message']}")
