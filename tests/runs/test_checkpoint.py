@@ -280,3 +280,28 @@ def test_numpy_alone_reads_a_checkpoint(folder):
         kernel = arrays[".params['kernel']"]
     assert saved["algorithm"] == {"name": "hmasd", "sizes": [8, 8], "coef": 0.1}
     np.testing.assert_array_equal(kernel, make_state(jax.random.key(300)).params["kernel"])
+
+
+class Intruder:
+    """An object whose unpickling writes a file."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.touch, (self.path,)
+
+
+@pytest.mark.parametrize("name", ["config", "state.key", ".params['kernel']"])
+def test_a_checkpoint_from_a_stranger_runs_no_code(name, tmp_path, folder, template):
+    """Check that no object is unpickled, wherever it is in the file."""
+    written = tmp_path / "written"
+    arrays = dict(np.load(folder / "300.npz"))
+    arrays[name] = np.array([Intruder(written)], dtype=object)
+    np.savez(folder / "300.npz", **arrays)
+    with pytest.raises(CheckpointError, match=r"300.npz is damaged: delete it to continue"):
+        checkpoint.restore(folder, template, CONFIG)
+    assert not written.exists()
+    with np.load(folder / "300.npz", allow_pickle=True) as file:  # It would have.
+        file[name]
+    assert written.exists()
