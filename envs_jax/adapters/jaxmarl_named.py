@@ -1,7 +1,9 @@
 """Environments of JaxMARL by name, for command lines and configuration files."""
 
+import inspect
 import tomllib
 import warnings
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, ClassVar
@@ -51,10 +53,42 @@ def _make(name: str, options: str) -> Any:
         with warnings.catch_warnings():
             # Overcooked recommends its successor whenever it is built.
             warnings.simplefilter("ignore", DeprecationWarning)
-            return jaxmarl.make(name, **values)
+            env = jaxmarl.make(name, **values)
     except (TypeError, AssertionError, NotImplementedError, ImportError) as error:
         given = f"options {options!r}: {name}" if options else f"id: {name}"
         raise ValueError(f"{given} cannot be built: {error}") from error
+    check_options(name, env, values)
+    return env
+
+
+def check_options(name: str, env: Any, values: Iterable[str]) -> None:
+    """Check that an environment of JaxMARL has used all options; some ignore what they do not know.
+
+    Args:
+        name: JaxMARL's name of the environment.
+        env: The environment, built with the options.
+        values: Names of the options.
+
+    Raises:
+        ValueError: No constructor names an option, and the environment has no such property.
+    """
+    known, objects = _named_by_constructors(env), (env, getattr(env, "_env", None))
+    for option in values:
+        if option not in known and not any(hasattr(x, option) for x in objects):
+            raise ValueError(f"options: {name} has no option {option!r}{suggest(option, known)}")
+
+
+def _named_by_constructors(env: Any) -> set[str]:
+    """Return the arguments of an environment, of those it inherits from and of the one it wraps."""
+    names: set[str] = set()
+    for cls in type(env).__mro__:
+        if "__init__" in vars(cls):
+            parameters = [*inspect.signature(cls.__init__).parameters.values()][1:]
+            names |= {p.name for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL)}
+            if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+                break  # It takes nothing from the classes below it.
+    wrapped = getattr(env, "_env", None)
+    return names | (_named_by_constructors(wrapped) if wrapped is not None else set())
 
 
 def _parse(options: str) -> dict[str, Any]:
