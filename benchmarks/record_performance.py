@@ -21,6 +21,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "performance.md"
 RECORDS = ROOT / "results" / "benchmarks"
 BENCHMARKS = {
+    "time_to_solve": "benchmarks/time_to_solve.py",
     "environments": "benchmarks/environments.py",
     "training": "benchmarks/training.py",
     "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc 3effb21 2856573 7dc47dd 65773a2"

@@ -8,6 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.time_to_solve import Curve, measured, recorded, solve
+from tests.helpers.runs import write_run
+
 ROOT = Path(__file__).parents[2]
 KEYS = {
     "name", "env", "algorithm", "seeds", "layout", "env_steps_per_s", "env_steps_per_cpu_s",
@@ -110,3 +113,27 @@ def test_matmul_flops_by_hand():
         return jax.lax.cond(x[0, 0] > 0, lambda x: (x @ w).sum(), lambda x: x.sum(), x)
 
     assert matmul_flops(either, x) == 0
+
+
+def test_time_to_solve_by_hand():
+    """The last five of 1, 1, 1, 1, 0.8 are 0.96 on average, of which 90 % is 0.864."""
+    steps, seconds = [0, 10, 20, 30, 40, 50, 60], [0, 60, 120, 180, 240, 300, 360]
+    fast = Curve(steps, [0, 0.86, 1, 1, 1, 1, 0.8], seconds)
+    slow = Curve(steps, [0, 0, 0, 0, 0.5, 0.5, 1], seconds)  # final level 0.4, reached at 40
+    never = Curve(steps, [0, 0, 0, 0, 0, 0, 0.1], seconds)
+    row = solve("x", [fast, slow, never])
+    assert row[:3] == ("x", 3, 2)
+    assert row[3:] == pytest.approx(((0.96 + 0.4) / 2, 30, 3.0, 4.0))
+    assert solve("x", [Curve(steps, [0] * 7, seconds)])[1:] == (1, 0, None, None, None, None)
+
+
+def test_every_recorded_result_has_a_time_to_solve():
+    rows = {row.name: row for row in recorded()}
+    assert rows["alice_and_bob/hmasd_robust"].learned == 10
+    assert not rows["alice_and_bob/mappo"].learned
+    assert all(row.core_minutes > 0 for row in rows.values() if row.learned)
+
+
+def test_time_to_solve_of_a_run(tmp_path):
+    run = write_run(tmp_path / "run", [[0.0, 0.5, 1.0, 1.0]])
+    assert measured(run).env_steps == 200  # Level (0 + 0.5 + 1 + 1) / 4; 90 % of it is 0.5625.
