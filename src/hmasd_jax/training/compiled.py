@@ -113,8 +113,15 @@ def compile_programs(
         lambda: tuple(compile_lowered(x, runs_once=x is lowered[0]) for x in lowered),
         lambda programs: _first_update(keys, *programs),
     )
-    memory_bytes = max(_memory_bytes(program) for program in programs)
-    return Programs(num_seeds, *programs, memory_bytes, time.perf_counter() - start)
+    init, advance_by, evaluate_at = programs
+    return Programs(
+        num_seeds=num_seeds,
+        init=init,
+        advance=advance_by,
+        evaluate=evaluate_at,
+        memory_bytes=max(_memory_bytes(program) for program in programs),
+        compile_seconds=time.perf_counter() - start,
+    )
 
 
 def _first_update(keys: Key, init: Callable, advance: Callable, evaluate: Callable) -> Any:
