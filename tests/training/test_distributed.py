@@ -91,7 +91,7 @@ def test_when_the_first_process_refuses_all_do(sweep, tmp_path):
     (run / "thesis.tex").write_text("mine")
     codes, ((_, first), (_, second)) = sweep(run, *WORDS)
     assert codes == [2, 2]
-    assert "exists: continue it with --resume" in first
+    assert "run is not empty, and not a run folder: choose another --run-dir" in first
     assert "the first process could not prepare the run" in second
     assert [path.name for path in run.iterdir()] == ["thesis.tex"]
 

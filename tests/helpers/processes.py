@@ -1,0 +1,40 @@
+"""Runs in processes of their own, and what they leave."""
+
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from hmasd_jax.runs import checkpoint
+from hmasd_jax.runs.folder import checkpoint_folder
+
+
+def wait_until(condition, process, seconds=120):
+    """Wait for a condition while a process runs."""
+    limit = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, process.stdout.read()
+        assert time.monotonic() < limit, "timed out"
+        time.sleep(0.02)
+
+
+def latest(run, seed):
+    """Return the environment steps of the newest checkpoint, 0 if there is none."""
+    return checkpoint.latest_step(checkpoint_folder(run, seed)) or 0
+
+
+def children_of(process):
+    """List the workers of a sweep."""
+    pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return [int(p) for p in pids if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text()]
+
+
+def assert_same_state(one, other):
+    """Compare two train states bit for bit."""
+
+    def data(x):
+        return jax.random.key_data(x) if jax.dtypes.issubdtype(x.dtype, jax.dtypes.prng_key) else x
+
+    for ours, theirs in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+        np.testing.assert_array_equal(data(ours), data(theirs))
