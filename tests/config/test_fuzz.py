@@ -148,6 +148,10 @@ def test_any_damage_to_the_files_of_a_run(tmp_path_factory, data):
     removed = path.with_name(metrics_log.REMOVED)
     left = path.read_bytes() + (removed.read_bytes() if removed.exists() else b"")
     assert set(damaged.split(b"\n")) - {b""} <= set(left.split(b"\n"))
+    log = metrics_log.JsonLines(path)
+    log.write(RECORDS[-1])
+    log.close()
+    assert metrics_log.read(path) == [*kept, RECORDS[-1]]
     assert seeds_of(run) == [0]
 
 

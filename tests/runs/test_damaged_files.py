@@ -93,6 +93,17 @@ def test_resuming_keeps_every_record_that_can_be_read(run, call):
     assert not (path_of_whole_seed.parent / "metrics.removed.jsonl").exists()
 
 
+def test_a_record_without_its_line_break_stays_one(run):
+    path, before = metrics_path(run, 0), numbers(run, 0)
+    path.write_bytes(path.read_bytes().removesuffix(b"\n"))
+    assert metrics_log.keep_until(path, 200) is None
+    log = metrics_log.JsonLines(path)
+    log.write({"kind": "eval", "seed": 0, "env_steps": 240, "wall_seconds": 1.0})
+    log.close()
+    assert numbers(run, 0)[:-1] == before
+    assert not (path.parent / "metrics.removed.jsonl").exists()
+
+
 def test_records_of_steps_without_a_checkpoint_are_moved_and_not_lost(run, call):
     path, before = metrics_path(run, 0), metrics_path(run, 0).read_bytes()
     shutil.rmtree(checkpoint_folder(run, 0))

@@ -181,8 +181,10 @@ def keep_until(path: Path, env_steps: int) -> str | None:
     if moved := [*log.damaged, *later, *unfinished]:
         with removed.open("ab") as file:
             file.write(b"".join(line + b"\n" for line in moved))
+    content = b"".join(line + b"\n" for line in kept)
+    if path.exists() and path.read_bytes() != content:
         rewritten = path.with_suffix(".tmp")
-        rewritten.write_bytes(b"".join(line + b"\n" for line in kept))
+        rewritten.write_bytes(content)
         rewritten.replace(path)
     told = _tell(path, log)
     return f"{told}; they are now in {removed}" if told else None
