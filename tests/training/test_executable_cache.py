@@ -136,6 +136,15 @@ def test_programs_are_loaded_if_they_compute_the_same(folder, caplog):
     assert jax.config.jax_enable_compilation_cache
 
 
+def test_other_flags_are_other_programs(folder, caplog, monkeypatch):
+    """Check that programs are not compared with those of processes with other flags."""
+    compile_toy()
+    monkeypatch.setenv("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false")
+    compile_toy()
+    assert len(list(folder.glob("*.sha256"))) == 2
+    assert not caplog.messages
+
+
 def test_a_damaged_program_is_compiled_anew(folder):
     first = compile_toy()
     for path in folder.glob("*-cache"):

@@ -94,7 +94,9 @@ def load_or_compile(
     if not in_use or jax.default_backend() != "cpu":
         return compile_all()
     texts = [program.as_text().encode() for program in programs]
-    key = digest_of([*texts, str(len(available_cores())).encode()])
+    fast_to_compile = jax.config.read("jax_disable_most_optimizations")
+    setting = f"{describe_processor()} {len(available_cores())} {fast_to_compile}"
+    key = digest_of([*texts, setting.encode()])
     record = Path(folder) / f"{key}.sha256"
     with exclusive(record.with_suffix(".lock")):
         executables = compile_all()
