@@ -8,28 +8,41 @@ from typing import Any
 
 LARGEST = 2**31 - 1
 """Largest count, since counters and indices of arrays have 32 bits."""
+LARGEST_FLOAT = 3.4e38
+"""Largest number, since arrays have 32 bits."""
 
 
 class ConfigError(ValueError):
     """A setting that cannot be used; the message is one line naming field, value and remedy."""
 
 
-def check_range(settings: Any, *names: str, low: float = -math.inf, high: float = LARGEST) -> None:
+def check_range(
+    settings: Any, *names: str, low: float = -math.inf, high: float | None = None
+) -> None:
     """Check that fields are finite and in [low, high]; for use in `__post_init__`.
+
+    Args:
+        settings: Object with the fields.
+        *names: Names of the fields.
+        low: Smallest value.
+        high: Largest value. By default, what 32 bits hold: `LARGEST` for an int, and
+            `LARGEST_FLOAT` for a float.
 
     Raises:
         ValueError: A field is not; the message begins with its name.
     """
     for name in names:
         value = getattr(settings, name)
-        if low <= value <= high:
+        limit = LARGEST_FLOAT if isinstance(value, float) else LARGEST
+        limit = limit if high is None else high
+        if low <= value <= limit:
             continue
         if isinstance(value, float) and not math.isfinite(value):
             wanted = "finite"
-        elif high != LARGEST:
+        elif high is not None:
             wanted = f"between {low} and {high}"
         else:
-            wanted = f"at most {high}" if value > high else f"at least {low}"
+            wanted = f"at most {limit}" if value > limit else f"at least {low}"
         raise ValueError(f"{name} must be {wanted}, got {_show(value)}")
 
 

@@ -218,6 +218,7 @@ NONSENSE = [
         "[algorithm.ppo]\nnum_envs = 20000000\nnum_minibatches = 1999999973",
         "algorithm.ppo.num_minibatches 1999999973 does not divide",
     ),
+    ("[algorithm.ppo]\nhuber_delta = 1e39", "algorithm.ppo.huber_delta must be at most 3.4e+38"),
     ("[algorithm]\nnum_skills = 1e9", "algorithm.num_skills must be between 1 and 1024"),
     ('"a\\nb" = 3', "unknown key 'a\\nb' (known: env"),
     (f'layout = "{"x" * 10_000}"', "layout must be one of auto, "),
@@ -255,6 +256,10 @@ def test_a_typed_value_is_one_value_and_nothing_else(text):
 def test_a_name_of_an_environment_is_no_table():
     with pytest.raises(ConfigError, match=r"unknown env\.name"):
         load(None, {"env.name.x": Text("3")})
+
+
+def test_a_large_number_means_no_limit():
+    assert PPOConfig(max_grad_norm=1e30, huber_delta=1e30).max_grad_norm == 1e30
 
 
 def test_the_largest_interval_means_never():
