@@ -232,7 +232,7 @@ def test_only_soups_of_three_onions_are_paid():
 
 
 def test_two_deliveries_in_one_step():
-    env = Overcooked("XXXPX\nO1S2D\nXXXXX", random_seats=False)
+    env = Overcooked("XPXPX\nO1S2D\nXDXOX", random_seats=False)
     start, _ = env.reset(KEY)
     start = start._replace(
         pose=4 * (start.pose // 4) + jnp.array([EAST, WEST]), held=jnp.full(2, SOUP + 3)
