@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.choices import check_choice, check_whole, show, suggest
 from envs_jax.micro_battle.constants import column, unit_constants
+from envs_jax.micro_battle.events import count
 from envs_jax.micro_battle.observations import (
     DIRECTIONS,
     FIRST_ATTACK,
@@ -29,7 +30,7 @@ from envs_jax.micro_battle.observations import (
     sizes,
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
-from envs_jax.micro_battle.render import ALLIES, draw
+from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw
 from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario
 from envs_jax.micro_battle.unit_types import Balance
 from envs_jax.types import TimeStep
@@ -246,6 +247,27 @@ class MicroBattle:
                 "enemies_alive": enemies.sum(0).astype(jnp.float32),
             },
         )
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        names = ("no-op", "stop", "north", "south", "east", "west")
+        enemies = enumerate(self.resolved_scenario.enemies)
+        return names + tuple(f"attack {spawn.unit} {i + 1}" for i, spawn in enemies)
+
+    def events(
+        self, before: MicroBattleState, action: Int[Array, " agents"], after: MicroBattleState
+    ) -> dict[str, Float[Array, " agents"]]:
+        """Count attacks begun, kills, damage and deaths; see `events.count`."""
+        del action
+        return count(before.units, after.units, self.num_agents, TICKS_PER_STEP)
+
+    def locate(self, env_state: MicroBattleState) -> Float[Array, "agents 2"]:
+        """Return the place of each living agent in the picture."""
+        left, _, _, top = bounds(self.resolved_scenario.floor)
+        units = jax.tree.map(lambda x: x[: self.num_agents], env_state.units)
+        place = jnp.stack([units.x - left, top - units.y], axis=-1) * CELL
+        return jnp.where(units.health[:, None] > 0, place, jnp.nan)
 
     def render(self, env_state: MicroBattleState) -> np.ndarray:
         """Draw the map, the units and their shots; see `render.draw`."""

@@ -24,14 +24,19 @@ SHOT, HOSTILE_SHOT = (30, 120, 220), (220, 60, 50)
 HEALTH, SHIELD, LOST = (70, 180, 80), (80, 160, 235), (120, 120, 120)
 
 
+def bounds(floor: tuple) -> tuple[float, float, float, float]:
+    """Return the part of the map that the picture shows: left, bottom, right and top, in cells."""
+    left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
+    bottom = min(r[1] for r in floor) - MARGIN
+    return left, bottom, max(r[2] for r in floor) + MARGIN, max(r[3] for r in floor) + MARGIN
+
+
 class Canvas:
     """Image in the coordinates of the scenario, with y upwards."""
 
     def __init__(self, floor: tuple) -> None:
-        self.left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
-        self.bottom = min(r[1] for r in floor) - MARGIN
-        width = max(r[2] for r in floor) + MARGIN - self.left
-        self.height = max(r[3] for r in floor) + MARGIN - self.bottom
+        self.left, self.bottom, right, top = bounds(floor)
+        width, self.height = right - self.left, top - self.bottom
         scale = CELL * SMOOTH
         rows, cols = round(self.height * scale), round(width * scale)
         self.y = (self.bottom + self.height - (np.arange(rows) + 0.5) / scale)[:, None]

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from envs_jax.alice_and_bob import COLORS, AliceAndBob
+from envs_jax.declared import describe_agents
 from hmasd_jax.analysis import frames as drawing
 from hmasd_jax.analysis import render, skill_maps
 from hmasd_jax.config import TrainConfig
@@ -126,7 +127,7 @@ def test_names_and_colors_of_agents_come_from_the_environment():
         agent_names = ("Alice", "Bob")
         agent_colors = (COLORS["alice"], COLORS["bob"])
 
-    agents = drawing.describe_agents(Named())
+    agents = describe_agents(Named())
     assert agents == [("Alice", COLORS["alice"]), ("Bob", COLORS["bob"])]
     picture = np.zeros((320, 320, 3), np.uint8)
     frame = drawing.draw_frame(picture, ("", ""), drawing.INK, np.zeros(3, int), agents)

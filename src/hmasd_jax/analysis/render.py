@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from envs_jax import Environment
+from envs_jax.declared import describe_agents
 from envs_jax.optional import require
-from hmasd_jax.analysis.frames import INK, LOST, WON, describe_agents, draw_frame
+from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Key, Policy

@@ -8,9 +8,9 @@ import numpy as np
 
 from envs_jax import alice_and_bob
 from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.declared import describe_agents
 from envs_jax.optional import require
 from hmasd_jax.analysis.figures import save
-from hmasd_jax.analysis.frames import describe_agents
 from hmasd_jax.analysis.render import make_policy, play
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
