@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
@@ -67,10 +67,13 @@ def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
         return train_iteration(parts, state)
 
     def policy(
-        state: HMASDState, greedy: bool = True, skills: Sequence[int | None] | None = None
+        state: HMASDState,
+        greedy: bool = True,
+        skills: Sequence[int | None] | None = None,
+        allowed: Bool[Array, "tokens skills"] | None = None,
     ) -> Policy:
         params = state.coordinator.params, state.discoverer.params
-        return make_policy(parts, *params, greedy, skills)
+        return make_policy(parts, *params, greedy, skills, allowed)
 
     return Algorithm(init, update, policy)
 
