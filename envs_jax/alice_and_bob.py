@@ -89,6 +89,7 @@ class AliceAndBob:
     agent_names: ClassVar[tuple[str, ...]] = ("Alice", "Bob")
     action_names: ClassVar[tuple[str, ...]] = ("right", "left", "up", "down", "stay")
     agent_colors: ClassVar[tuple] = (COLORS["alice"], COLORS["bob"])
+    cell_pixels: ClassVar[int] = SCALE
 
     def __post_init__(self) -> None:
         check_whole("max_steps", self.max_steps)

@@ -1,12 +1,14 @@
-"""Optional declarations of an environment, with defaults: names, events and places of agents.
+"""Optional declarations of an environment, with defaults: names, events, places and views.
 
-Reports of trained policies use them. Training never does. An environment declares each by a member
-of the name below and inherits from nothing.
+Pictures and reports of trained policies use them. Training never does. An environment declares each
+by a member of the name below and inherits from nothing.
 """
 
+from collections.abc import Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from envs_jax.types import Environment, EnvState
@@ -41,6 +43,15 @@ class LocatesAgents(Protocol):
         ...
 
 
+@runtime_checkable
+class DrawsEpisodes(Protocol):
+    """Environment that draws the states of an episode in one view, e.g. a part of its map."""
+
+    def render_episode(self, env_states: Sequence[EnvState]) -> list[np.ndarray]:
+        """Draw unbatched states as uint8 images of one shape (height, width, 3), on the host."""
+        ...
+
+
 def count_events(
     env: Environment, before: EnvState, action: Int[Array, " agents"], after: EnvState
 ) -> dict[str, Float[Array, " agents"]]:
@@ -56,6 +67,18 @@ def locate_agents(env: Environment, env_state: EnvState) -> Float[Array, "agents
     if not isinstance(env, LocatesAgents):
         return None
     return jnp.asarray(env.locate(env_state), jnp.float32)
+
+
+def cell_pixels(env: Environment, picture: np.ndarray) -> int:
+    """Return the side of a cell of maps: `cell_pixels` of the environment, or 1/20 of its width."""
+    return getattr(env, "cell_pixels", max(picture.shape[1] // 20, 1))
+
+
+def draw_states(env: Environment, env_states: Sequence[EnvState]) -> list[np.ndarray]:
+    """Draw the states of one episode, by `render` if the environment declares no other way."""
+    if isinstance(env, DrawsEpisodes):
+        return env.render_episode(env_states)
+    return [env.render(env_state) for env_state in env_states]
 
 
 def describe_agents(env: Environment) -> list[Agent]:

@@ -6,10 +6,10 @@ actions, masks and observations follow SMAC and StarCraft II's data files. The g
 run. docs/environments/micro_battle.md states what is modeled and what is not.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +30,7 @@ from envs_jax.micro_battle.observations import (
     sizes,
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
-from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw
+from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw, surround
 from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario
 from envs_jax.micro_battle.unit_types import Balance
 from envs_jax.types import TimeStep
@@ -74,6 +74,8 @@ class MicroBattle:
     authors with one state for all agents (3m: 64 and 75 numbers). `smac` is SMAC's own (30, 48)."""
     time_limit: int | None = None
     """Time limit of an episode in environment steps; None takes that of the scenario."""
+
+    cell_pixels: ClassVar[int] = CELL
 
     def __post_init__(self) -> None:
         known = isinstance(self.scenario, str) and self.scenario in SCENARIOS
@@ -272,6 +274,11 @@ class MicroBattle:
     def render(self, env_state: MicroBattleState) -> np.ndarray:
         """Draw the map, the units and their shots; see `render.draw`."""
         return draw(self.resolved_scenario, env_state)
+
+    def render_episode(self, env_states: Sequence[MicroBattleState]) -> list[np.ndarray]:
+        """Draw the part of the map where units are in any of the states."""
+        box = surround(self.resolved_scenario, env_states)
+        return [draw(self.resolved_scenario, state, box) for state in env_states]
 
 
 @lru_cache  # Calls without jit reuse the compiled function.

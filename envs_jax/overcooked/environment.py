@@ -88,6 +88,7 @@ class Overcooked:
     num_agents: ClassVar[int] = 2
     num_actions: ClassVar[int] = 6
     agent_colors: ClassVar[tuple] = COOKS
+    cell_pixels: ClassVar[int] = SIDE
     action_names: ClassVar[tuple[str, ...]] = (
         "north", "south", "east", "west", "stay", "interact",
     )  # fmt: skip
