@@ -1,57 +1,22 @@
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import imageio.v3 as iio
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from envs_jax.alice_and_bob import COLORS, AliceAndBob
 from envs_jax.declared import describe_agents
+from hmasd_jax.analysis import episodes, render, skill_maps
 from hmasd_jax.analysis import frames as drawing
-from hmasd_jax.analysis import render, skill_maps
-from hmasd_jax.config import TrainConfig
-from hmasd_jax.hmasd import HMASDConfig
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs.folder import RunError
-from hmasd_jax.runs.load import TrainedRun
-from hmasd_jax.types import Algorithm, Policy
-
-LEFT, UP, DOWN, RIGHT = 1, 2, 3, 0
-CORNERS = np.array([(UP, LEFT), (UP, RIGHT), (DOWN, LEFT), (DOWN, RIGHT)])
-"""Moves by which skill z reaches its corner: blue button, red button, red and blue diamond."""
-TEAMS = np.array([(1, 2), (0, 3)])
-"""Skills of Alice and Bob under Z = 0 (the red diamond) and Z = 1 (the blue one)."""
-
-
-class Memory(NamedTuple):
-    time: jax.Array
-    skills: jax.Array
-
-
-def scripted_policy(state, greedy=True, skills=None) -> Policy:
-    """Skills that walk to a corner; Z changes every 20 steps, so that both diamonds are got."""
-    held = [-1 if skill is None else skill for skill in skills or (None, None, None)]
-
-    def step(memory, timestep, first, key):
-        time = jnp.where(first, 0, memory.time)
-        team_skill = time // 20 % 2
-        chosen = jnp.stack([team_skill, *jnp.asarray(TEAMS)[team_skill]])
-        if held[0] >= 0:
-            chosen = jnp.stack([jnp.int32(held[0]), *jnp.asarray(TEAMS)[held[0]]])
-        chosen = jnp.where(jnp.array(held) >= 0, jnp.array(held), chosen)
-        action = jnp.asarray(CORNERS)[chosen[1:], time % 2]
-        return Memory(time + 1, chosen), action, chosen
-
-    return Policy(lambda batch_shape: Memory(jnp.int32(0), jnp.zeros(3, int)), step)
+from tests.helpers.scripted import TEAMS, scripted_policy, scripted_run
 
 
 @pytest.fixture(scope="module")
 def trained():
-    config = TrainConfig(env=AliceAndBob(), algorithm=HMASDConfig(skill_interval=20))
-    algorithm = Algorithm(lambda key: None, lambda state: (state, {}), scripted_policy)
-    return TrainedRun(config, config.env, algorithm, None, 1600)
+    return scripted_run()
 
 
 @pytest.fixture
@@ -65,7 +30,7 @@ def run(trained, monkeypatch, tmp_path):
 @pytest.fixture(scope="module")
 def episode(trained):
     keys = jax.random.split(jax.random.key(0), 2)
-    return render.record(trained.env, scripted_policy(None), keys)[1]
+    return episodes.record(trained.env, scripted_policy(None), keys)[1]
 
 
 def color_of(hexadecimal: str) -> tuple[int, ...]:

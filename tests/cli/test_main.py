@@ -117,6 +117,9 @@ MISTAKES = [
     (["render", "none"], "out is missing"),
     (["plot"], "runs is missing"),
     (["plot", "none"], "none is not a run folder"),
+    (["report"], "runs is missing"),
+    (["report", "none"], "none is not a run folder"),
+    (["report", "none", "--megabytes", "3"], "megabytes must be at least 6, got 3"),
 ]
 
 

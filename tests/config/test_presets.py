@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax.config import load
+from hmasd_jax.config import load, to_json
+from hmasd_jax.config.presets import find_preset
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EAST = 4
@@ -76,3 +77,25 @@ def test_the_general_preset_plays_the_papers_environment_and_gives_no_hint(path)
     config = load(path)
     assert config.env == load(path.with_name("hmasd.toml")).env
     assert config.algorithm.discriminator_obs == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("alice_and_bob/hmasd_robust", "alice_and_bob/hmasd"),
+        ("micro_battle/3m/hmasd_general", "micro_battle/3m/hmasd"),
+        ("overcooked/coordination_ring/mat", "overcooked/coordination_ring/mat"),
+    ],
+)
+def test_a_run_is_compared_with_the_papers_preset(name, preset):
+    table = to_json(load(CONFIGS / f"{name}.toml"))
+    found = find_preset(table)
+    assert found is not None
+    assert found[0] == preset
+    assert found[1]["algorithm.ppo.discount"] == 0.99
+
+
+def test_another_task_has_no_preset():
+    table = to_json(load(None, {"env.name": "micro_battle", "env.scenario": "3m"}))
+    assert find_preset(table | {"env": table["env"] | {"scenario": "mine"}}) is None
+    assert find_preset(table | {"algorithm": {"name": "mine"}}) is None

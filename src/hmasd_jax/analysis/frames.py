@@ -86,6 +86,17 @@ def draw_frame(
     return np.asarray(image)
 
 
+def shrink(picture: np.ndarray, max_width: int | None) -> np.ndarray:
+    """Scale an image (height, width, 3) down to at most `max_width` pixels."""
+    from PIL import Image
+
+    height, width = picture.shape[:2]
+    if max_width is None or width <= max_width:
+        return picture
+    size = (max_width, round(height * max_width / width))
+    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
+
+
 def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> list[list[Chip]]:
     """Arrange the labels in rows, as many as fit in each row."""
     if skills is None:

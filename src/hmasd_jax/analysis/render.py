@@ -3,6 +3,7 @@
 import importlib.util
 import warnings
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
 import jax
@@ -12,7 +13,7 @@ from envs_jax import Environment
 from envs_jax.declared import describe_agents, draw_states
 from envs_jax.optional import require
 from hmasd_jax.analysis.episodes import Episode, record
-from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame
+from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Policy
@@ -95,10 +96,40 @@ def draw_episode(
     env: Environment, episode: Episode, title: str = "", pause: int = 0
 ) -> list[np.ndarray]:
     """Draw one frame (height, width, 3) per state, and repeat the last one `pause` times."""
+    (pictures,) = draw_pictures(env, [episode])
+    return add_captions(env, episode, pictures, title, pause)
+
+
+def draw_pictures(
+    env: Environment, episodes: Sequence[Episode], max_width: int | None = None
+) -> list[list[np.ndarray]]:
+    """Draw all states of episodes in one view, without captions.
+
+    Args:
+        env: Environment of the episodes.
+        episodes: Episodes to draw.
+        max_width: Width to which wider pictures are scaled down, in pixels.
+    """
+    states = [state for episode in episodes for state in episode.env_states]
+    pictures = iter(draw_states(env, states))
+    return [
+        [shrink(picture, max_width) for picture in islice(pictures, len(episode.env_states))]
+        for episode in episodes
+    ]
+
+
+def add_captions(
+    env: Environment,
+    episode: Episode,
+    pictures: Sequence[np.ndarray],
+    title: str = "",
+    pause: int = 0,
+) -> list[np.ndarray]:
+    """Add borders and captions to the pictures of an episode; see `draw_episode`."""
     length = len(episode.rewards)
     agents = describe_agents(env)
     frames = []
-    for time, picture in enumerate(draw_states(env, episode.env_states)):
+    for time, picture in enumerate(pictures):
         skills = None if episode.skills is None else episode.skills[min(time, length - 1)]
         total = float(episode.rewards[:time].sum())
         text, color = f"step {time}, return {total:g}", INK

@@ -98,6 +98,15 @@ def estimate(
     return Estimate(float(np.asarray(statistic(arrays))), float(low), float(high))
 
 
+def estimate_mean(values: ArrayLike, seed: int = 0, num_samples: int = 2000) -> Estimate:
+    """Return the mean of (n,) with its 95 % bootstrap interval. It is faster than `estimate`."""
+    values = np.asarray(values, float)
+    rng = np.random.default_rng(seed)
+    means = values[rng.integers(len(values), size=(num_samples, len(values)))].mean(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return Estimate(float(values.mean()), float(low), float(high))
+
+
 def estimate_fraction(scores: ArrayLike, threshold: float) -> Estimate:
     """Return `fraction_above` with its Wilson interval.
 

@@ -181,3 +181,27 @@ class CompareOptions(PlotOptions):
 
     def __post_init__(self) -> None:
         check_range(self, "last", low=1)
+
+
+@dataclass(frozen=True)
+class ReportOptions(Options):
+    """Runs to report."""
+
+    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN [RUN ...]")]
+    """Folders of finished or running runs. They are only read."""
+    out: Path = Path("report.html")
+    """Page to write, .html. Its data goes beside it as CSV."""
+    episodes: int = 100
+    """Episodes per skill and condition."""
+    seeds: int = 3
+    """Most seeds per run whose skills are played."""
+    solved_at: float | None = None
+    """Score from which a seed has learned the task. The default is a success rate of 0.9, or any
+    return above 0."""
+    megabytes: float = 15.0
+    """Largest size of the page. Films become shorter to keep it."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "episodes", low=2)
+        check_range(self, "seeds", low=0)
+        check_range(self, "megabytes", low=6)

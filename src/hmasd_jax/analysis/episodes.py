@@ -1,0 +1,104 @@
+"""Whole episodes of a policy as arrays. Axes: E episodes, T = `max_steps`, N agents."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Int
+
+from envs_jax import Environment, EnvState, TimeStep
+from hmasd_jax.types import Key, Policy
+
+
+class Played(NamedTuple):
+    """E episodes, each from its reset on. Values after the end of an episode are meaningless."""
+
+    env_states: EnvState
+    """Simulator states (E, T + 1, ...), the first one included."""
+    timesteps: TimeStep
+    """Time steps (E, T + 1, ...)."""
+    actions: Int[Array, "E T N"]
+    extras: Any
+    """Extras of the policy (E, T, ...), e.g. the skills in use."""
+
+    @property
+    def counted(self) -> Bool[Array, "E T"]:
+        """True for the steps of each episode, its last one included."""
+        done = self.timesteps.done[:, 1:]
+        return jnp.cumsum(done, axis=1) - done == 0
+
+
+class Episode(NamedTuple):
+    """One episode of T steps, cut at its end."""
+
+    env_states: list[Any]
+    """T + 1 unbatched simulator states, including the first and the last."""
+    skills: np.ndarray | None
+    """Z, z^1, .., z^N at every step, (T, 1 + N); None for policies without skills."""
+    rewards: np.ndarray
+    """Team reward of every step, (T,)."""
+    success: bool | None
+    """True if the episode ended in success; None if the environment has no success."""
+
+
+def play(env: Environment, policy: Policy, keys: Key) -> Played:
+    """Play one episode per key, without a reset at its end. It can be called inside jit.
+
+    All episodes act in one batch: a coordinator that is due in all of them runs once.
+    """
+
+    def step(loop, keys):
+        env_states, timesteps, memory, first = loop
+        split = jax.vmap(jax.random.split)(keys)
+        memory, actions, extras = policy.step(memory, timesteps, first, split[0, 0])
+        env_states, timesteps = jax.vmap(env.step)(split[:, 1], env_states, actions)
+        after = (env_states, timesteps)
+        return (*after, memory, jnp.zeros_like(first)), (*after, actions, extras)
+
+    @jax.jit
+    def run(keys):
+        split = jax.vmap(jax.random.split)(keys)
+        start = jax.vmap(env.reset)(split[:, 0])
+        memory = policy.init((len(keys),))
+        step_keys = jax.vmap(lambda key: jax.random.split(key, env.max_steps), out_axes=1)
+        loop = (*start, memory, jnp.ones(len(keys), bool))
+        _, (env_states, timesteps, *chosen) = jax.lax.scan(step, loop, step_keys(split[:, 1]))
+        visited = jax.tree.map(
+            lambda x, xs: jnp.concatenate([x[None], xs]), start, (env_states, timesteps)
+        )
+        return jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), (*visited, *chosen))
+
+    return Played(*run(keys))
+
+
+def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:
+    """Play one episode per key and cut it at its end."""
+    return cut(env, jax.device_get(play(env, policy, keys)))
+
+
+def cut(env: Environment, played: Played) -> list[Episode]:
+    """Cut episodes, as NumPy arrays, at their ends."""
+    timesteps = played.timesteps
+    skills = skills_of(env, played.extras)
+    episodes = []
+    for index, length in enumerate(timesteps.done.argmax(axis=1)):
+        success = timesteps.info.get("success")
+        episodes.append(
+            Episode(
+                [
+                    jax.tree.map(lambda x, i=index, t=t: x[i, t], played.env_states)
+                    for t in range(length + 1)
+                ],
+                None if skills is None else skills[index, :length],
+                np.asarray(timesteps.reward[index, 1 : length + 1]),
+                None if success is None else bool(success[index, length] > 0),
+            )
+        )
+    return episodes
+
+
+def skills_of(env: Environment, extras: Any) -> Any:
+    """Return the skills (E, T, 1 + N) in the extras of a policy, or None if it has none."""
+    has_skills = getattr(extras, "shape", ())[2:] == (1 + env.num_agents,)
+    return extras if has_skills else None
