@@ -2,8 +2,10 @@
 
 import csv
 import hashlib
+import json
 import re
 import shutil
+from pathlib import Path
 
 import pytest
 
@@ -16,6 +18,7 @@ PPO = {"num_envs": 2, "rollout_length": 20, "hidden_size": 8, "num_epochs": 1, "
 TINY = {f"algorithm.ppo.{name}": value for name, value in PPO.items()}
 HMASD = TINY | {"algorithm.skill_interval": 5, "algorithm.num_skills": 2, "env.max_steps": 12}
 MAPPO = TINY | {"algorithm.name": "mappo", "env.max_steps": 12}
+NOTEBOOK = Path(__file__).parents[2] / "docs" / "guides" / "skill_data.ipynb"
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
@@ -108,6 +111,27 @@ def test_data_goes_beside_the_page(report):
             if (row["run"], row["seed"], row["metric"]) == ("hmasd (3 seeds)", "0", "success")
         ]
     assert curve == [0, 0.5, 1, 1]
+
+
+def test_the_notebook_runs(hmasd, tmp_path, monkeypatch, capsys):
+    plt = pytest.importorskip("matplotlib.pyplot")
+    plt.switch_backend("agg")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "example").symlink_to(hmasd)
+    cells = json.loads(NOTEBOOK.read_text())["cells"]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    assert len(code) >= 6
+    namespace = {}
+    for number, source in enumerate(code):
+        # Fewer episodes than readers want.
+        source = source.replace("episodes=50", "episodes=3")
+        exec(compile(source, f"cell {number}", "exec"), namespace)
+    assert len(plt.get_fignums()) == 2
+    plt.close("all")
+    assert "individual 1: given" in capsys.readouterr().out
+    outputs = [cell["outputs"] for cell in cells if cell["cell_type"] == "code"]
+    assert sum(map(bool, outputs)) == len(code) - 1  # Readers see results without running it.
 
 
 def test_a_run_that_has_just_begun_gets_a_page(tmp_path):

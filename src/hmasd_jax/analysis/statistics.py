@@ -30,6 +30,18 @@ class Summary(TypedDict):
     """Fraction of seeds that have solved the task."""
 
 
+ENOUGH_SEEDS = 5
+"""Seeds from which an interval over seeds is worth reading; the paper has 5."""
+
+
+def few_seeds(count: int) -> str | None:
+    """Return a word of warning about statistics over `count` seeds, or None if it is enough."""
+    if count >= ENOUGH_SEEDS:
+        return None
+    seeds = "one seed" if count == 1 else f"{count} seeds"
+    return f"Statistics over {seeds} say little: train at least {ENOUGH_SEEDS}."
+
+
 def mean_and_std(values: ArrayLike) -> tuple[Array, Array]:
     """Return mean and population standard deviation over seeds (the first axis)."""
     values = np.asarray(values, float)

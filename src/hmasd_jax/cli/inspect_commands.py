@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
+from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import CompareOptions, EvaluateOptions, PlotOptions, RenderOptions
 from hmasd_jax.config import build, to_json
 from hmasd_jax.rl.evaluate import evaluate
@@ -61,6 +62,8 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
         print(f"seed {index} has no checkpoint yet")
     for fault in faults:
         print(f"error: {fault}", file=sys.stderr)
+    if rows:
+        suggest_next("render", options.run, "--out", "episode.gif")
     return 1 if faults else 0
 
 
@@ -102,6 +105,7 @@ def render(options: RenderOptions) -> int:
         step=options.step,
     )
     print(out)
+    suggest_next("report", options.run)
     return 0
 
 
@@ -110,6 +114,7 @@ def plot(options: PlotOptions) -> int:
     from hmasd_jax.analysis.curves import plot_runs
 
     print(plot_runs(options.runs, options.out, options.metric))
+    suggest_next("compare" if len(options.runs) > 1 else "report", *options.runs)
     return 0
 
 
@@ -122,6 +127,7 @@ def compare(options: CompareOptions) -> int:
     for table in tables(comparison):
         console.print(table)
     print(comparison.draw(options.out))
+    suggest_next("report", *options.runs)
     return 0
 
 

@@ -6,6 +6,7 @@ from typing import TypeVar
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import ReportOptions
 
 Item = TypeVar("Item")
@@ -38,4 +39,5 @@ def report(options: ReportOptions) -> int:
     print(f"{out} ({size:.1f} MB); open it in a browser")
     if size > options.megabytes:
         print(f"it is larger than {options.megabytes:g} MB: show fewer seeds with --seeds")
+    suggest_next("render", options.runs[0], "--out", "episode.gif")
     return 0
