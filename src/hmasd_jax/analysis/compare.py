@@ -18,7 +18,7 @@ from rich.table import Table
 
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of, read_evaluations
-from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups
+from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups, write_csv
 from hmasd_jax.analysis.statistics import (
     Array,
     Estimate,
@@ -53,10 +53,13 @@ class Comparison(NamedTuple):
     solved_at: float
     """Lowest score of a seed that has solved the task."""
 
-    def draw(self, out: Path) -> Path:
-        """Draw the curves with their intervals and return `out`."""
+    def draw(self, out: Path, show_seeds: bool = False) -> Path:
+        """Draw the curves with their intervals, write them as CSV beside it, and return `out`."""
         require("matplotlib", "plots", "plotting")
-        return draw_groups(list(zip(self.labels, self.curves)), self.task, self.metric, out)
+        groups = list(zip(self.labels, self.curves))
+        draw_groups(groups, self.task, self.metric, out, show_seeds)
+        write_csv(groups, self.metric, out)
+        return Path(out)
 
 
 def compare_runs(

@@ -113,7 +113,7 @@ def plot(options: PlotOptions) -> int:
     """Plot learning curves of runs and return the exit code."""
     from hmasd_jax.analysis.curves import plot_runs
 
-    print(plot_runs(options.runs, options.out, options.metric))
+    print(plot_runs(options.runs, options.out, options.metric, options.show_seeds))
     suggest_next("compare" if len(options.runs) > 1 else "report", *options.runs)
     return 0
 
@@ -126,7 +126,7 @@ def compare(options: CompareOptions) -> int:
     console = _console()
     for table in tables(comparison):
         console.print(table)
-    print(comparison.draw(options.out))
+    print(comparison.draw(options.out, options.show_seeds))
     suggest_next("report", *options.runs)
     return 0
 

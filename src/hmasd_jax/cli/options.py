@@ -163,9 +163,11 @@ class PlotOptions(Options):
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN [RUN ...]")]
     """Folders of runs. Each run is one curve with a band over its seeds."""
     out: Path = Path("curves.png")
-    """Image to write."""
+    """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
     metric: str = "success"
     """Metric of the evaluations to plot, e.g. success, return or length."""
+    show_seeds: bool = False
+    """Also draw a thin line per seed."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,7 @@ class CompareOptions(PlotOptions):
     """Runs to compare."""
 
     out: Path = Path("comparison.png")
-    """Image to write."""
+    """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
     last: int = 5
     """Number of last evaluations whose mean is the score of a seed."""
     solved_at: float = 0.9
