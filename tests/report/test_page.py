@@ -19,7 +19,6 @@ TINY = {f"algorithm.ppo.{name}": value for name, value in PPO.items()}
 HMASD = TINY | {"algorithm.skill_interval": 5, "algorithm.num_skills": 2, "env.max_steps": 12}
 MAPPO = TINY | {"algorithm.name": "mappo", "env.max_steps": 12}
 NOTEBOOK = Path(__file__).parents[2] / "docs" / "guides" / "skill_data.ipynb"
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 
 
 @pytest.fixture(scope="module")
@@ -163,18 +162,6 @@ def test_the_size_limit_is_divided_among_films_and_frames(report, hmasd):
         used = page.FIXED_BYTES + 18 * 4 / 3 * (film + 20_000) + 3 * frames * page.FRAME_BYTES
         assert used <= max(size * 1e6, 6.9e6)
     assert limits[50] > limits[15] > limits[6]
-
-
-@pytest.fixture(scope="module")
-def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    if CHROMIUM is None:
-        pytest.skip("no Chromium on this machine")
-    with sync_api.sync_playwright() as playwright:
-        arguments = ["--no-sandbox", "--disable-gpu"]
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=arguments)
-        yield browser
-        browser.close()
 
 
 PLAYED = "() => [...document.querySelectorAll('video')].every(v => v.readyState > 2)"

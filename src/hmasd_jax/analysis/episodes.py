@@ -42,34 +42,63 @@ class Episode(NamedTuple):
     """True if the episode ended in success; None if the environment has no success."""
 
 
+class Loop(NamedTuple):
+    """Episodes on their way: E copies between two steps."""
+
+    env_states: EnvState
+    timesteps: TimeStep
+    memory: Any
+    """Memory of the policy."""
+    first: Bool[Array, " E"]
+    """True before the first step."""
+
+
+def start(env: Environment, policy: Policy, keys: Key) -> Loop:
+    """Reset one copy per key."""
+    env_states, timesteps = jax.vmap(env.reset)(keys)
+    return Loop(env_states, timesteps, policy.init((len(keys),)), jnp.ones(len(keys), bool))
+
+
+def advance(env: Environment, policy: Policy, loop: Loop, keys: Key) -> tuple[Loop, Played]:
+    """Play steps without a reset at the end of an episode.
+
+    Args:
+        env: Environment.
+        policy: Policy that acts.
+        loop: Copies to continue from.
+        keys: One key per step and copy, (T, E).
+
+    Returns:
+        The copies after T steps, and the steps, which begin with the states of `loop`.
+    """
+
+    def step(loop: Loop, keys: Key) -> tuple[Loop, tuple]:
+        split = jax.vmap(jax.random.split)(keys)
+        memory, actions, extras = policy.step(loop.memory, loop.timesteps, loop.first, split[0, 0])
+        after = jax.vmap(env.step)(split[:, 1], loop.env_states, actions)
+        return Loop(*after, memory, jnp.zeros_like(loop.first)), (*after, actions, extras)
+
+    last, (env_states, timesteps, *chosen) = jax.lax.scan(step, loop, keys)
+    before = (loop.env_states, loop.timesteps)
+    visited = jax.tree.map(
+        lambda x, xs: jnp.concatenate([x[None], xs]), before, (env_states, timesteps)
+    )
+    return last, Played(*jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), (*visited, *chosen)))
+
+
 def play(env: Environment, policy: Policy, keys: Key) -> Played:
     """Play one episode per key, without a reset at its end. It can be called inside jit.
 
     All episodes act in one batch: a coordinator that is due in all of them runs once.
     """
 
-    def step(loop, keys):
-        env_states, timesteps, memory, first = loop
-        split = jax.vmap(jax.random.split)(keys)
-        memory, actions, extras = policy.step(memory, timesteps, first, split[0, 0])
-        env_states, timesteps = jax.vmap(env.step)(split[:, 1], env_states, actions)
-        after = (env_states, timesteps)
-        return (*after, memory, jnp.zeros_like(first)), (*after, actions, extras)
-
     @jax.jit
-    def run(keys):
-        split = jax.vmap(jax.random.split)(keys)
-        start = jax.vmap(env.reset)(split[:, 0])
-        memory = policy.init((len(keys),))
+    def run(keys: Key) -> Played:
+        key_reset, key_steps = jax.vmap(jax.random.split, out_axes=1)(keys)
         step_keys = jax.vmap(lambda key: jax.random.split(key, env.max_steps), out_axes=1)
-        loop = (*start, memory, jnp.ones(len(keys), bool))
-        _, (env_states, timesteps, *chosen) = jax.lax.scan(step, loop, step_keys(split[:, 1]))
-        visited = jax.tree.map(
-            lambda x, xs: jnp.concatenate([x[None], xs]), start, (env_states, timesteps)
-        )
-        return jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), (*visited, *chosen))
+        return advance(env, policy, start(env, policy, key_reset), step_keys(key_steps))[1]
 
-    return Played(*run(keys))
+    return run(keys)
 
 
 def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:

@@ -202,8 +202,14 @@ class ReportOptions(Options):
     return above 0."""
     megabytes: float = 15.0
     """Largest size of the page. Films become shorter to keep it."""
+    serve: bool = False
+    """Serve the page on this machine instead of writing it: it follows the training, and the agents
+    of the first run can be driven (packages starlette and uvicorn)."""
+    port: int = 8000
+    """Port of the served page; 0 takes a free one."""
 
     def __post_init__(self) -> None:
+        check_range(self, "port", low=0, high=65535)
         check_range(self, "episodes", low=2)
         check_range(self, "seeds", low=0)
         check_range(self, "megabytes", low=6)

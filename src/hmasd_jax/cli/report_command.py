@@ -13,7 +13,9 @@ Item = TypeVar("Item")
 
 
 def report(options: ReportOptions) -> int:
-    """Write a report of runs and return the exit code."""
+    """Write or serve a report of runs and return the exit code."""
+    if options.serve:
+        return _serve(options)
     from hmasd_jax.report.page import count_tracked, write_report
 
     total = sum(count_tracked(run, options.seeds) for run in options.runs)
@@ -40,4 +42,19 @@ def report(options: ReportOptions) -> int:
     if size > options.megabytes:
         print(f"it is larger than {options.megabytes:g} MB: show fewer seeds with --seeds")
     suggest_next("render", options.runs[0], "--out", "episode.gif")
+    return 0
+
+
+def _serve(options: ReportOptions) -> int:
+    """Serve a report of runs until interrupted and return the exit code."""
+    from hmasd_jax.report.serve import serve
+
+    serve(
+        options.runs,
+        options.port,
+        episodes=options.episodes,
+        num_seeds=options.seeds,
+        megabytes=options.megabytes,
+        solved_at=options.solved_at,
+    )
     return 0

@@ -5,18 +5,15 @@ import json
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from envs_jax.declared import name_actions
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of
 from hmasd_jax.analysis.learning import Band, curve_rows
 from hmasd_jax.analysis.skills import Track, conditions, count_skills
-from hmasd_jax.analysis.statistics import Estimate
 from hmasd_jax.analysis.usefulness import table
 from hmasd_jax.report.gather import Run, gather
+from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
 
@@ -64,25 +61,37 @@ def write_report(
             written.
         ConfigError: The configuration of a run is not valid in this version.
     """
-    for package in ("jinja2", "plotly", "imageio", "imageio_ffmpeg", "PIL", "matplotlib"):
-        require(package, "report", "a report")
-    runs = [Path(run) for run in runs]
-    tables = [_read_table(run) for run in runs]
+    check_packages()
+    for run in runs:
+        read_config(Path(run))  # raises the errors
     out = check_out(Path(out), runs)
-    labels = labels_of(runs, tables)
-    found = [
-        gather(run, label, episodes, num_seeds, solved_at, track)
-        for run, label in zip(runs, labels)
-    ]
-    page = render_page(found, out, megabytes, track)
+    found = gather_runs(runs, episodes, num_seeds, solved_at, track)
+    page = render_page(found, megabytes, track, [path.name for path in data_paths(out)])
     write_data(found, out)
     out.write_text(page, encoding="utf-8")
     return out
 
 
-def _read_table(run: Path) -> dict[str, Any]:
-    read_config(run)  # raises the errors
-    return json.loads((run / "config.json").read_text())
+def check_packages() -> None:
+    """Check that the packages of the extra `report` are installed.
+
+    Raises:
+        MissingPackageError: One is not.
+    """
+    for package in ("jinja2", "plotly", "imageio", "imageio_ffmpeg", "PIL", "matplotlib"):
+        require(package, "report", "a report")
+
+
+def gather_runs(
+    runs: Sequence[Path], episodes: int, num_seeds: int, solved_at: float | None, track: Track
+) -> list[Run]:
+    """Gather all runs of a report; see `write_report`."""
+    runs = [Path(run) for run in runs]
+    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    return [
+        gather(run, label, episodes, num_seeds, solved_at, track)
+        for run, label in zip(runs, labels_of(runs, tables))
+    ]
 
 
 def check_out(out: Path, runs: Sequence[Path]) -> Path:
@@ -117,9 +126,23 @@ def count_tracked(run: Path, num_seeds: int) -> int:
     return min(len(ready), num_seeds) * (len(conditions(*counts, config.env.num_agents)) + 1)
 
 
-def render_page(runs: list[Run], out: Path, megabytes: float, track: Track = iter) -> str:
-    """Return the HTML of the page."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+def render_page(
+    runs: list[Run],
+    megabytes: float = DEFAULT_MEGABYTES,
+    track: Track = iter,
+    data: Sequence[str] = (),
+    live: str | None = None,
+) -> str:
+    """Return the HTML of the page.
+
+    Args:
+        runs: What to show.
+        megabytes: Size limit.
+        track: Wrapper of loops, e.g. a progress bar.
+        data: Names of the files beside the page.
+        live: Version of a served page, which loads itself again when the version has changed; None
+            for a file.
+    """
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
 
@@ -140,20 +163,15 @@ def render_page(runs: list[Run], out: Path, megabytes: float, track: Track = ite
         title = f"{'evaluation' if kind == 'evaluation' else 'training'}: {metric}"
         return embed(draw_bands(curves, metric, title, height), name)
 
-    environment = Environment(
-        loader=PackageLoader("hmasd_jax.report"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    environment.filters |= {"estimate": write_estimate, "percent": write_percent, "html": Markup}
-    environment.filters["reached"] = write_reached
-    return environment.get_template("report.html.j2").render(
+    return load_template("report.html.j2").render(
         runs=list(zip(range(len(runs)), runs, views)),
         title=", ".join(dict.fromkeys(run.task for run in runs)),
         metric=runs[0].metric,
         chart=chart,
         groups=group_metrics([run.training for run in runs], [run.evaluation for run in runs]),
         plotly=Markup(get_plotlyjs()),
-        data=[path.name for path in data_paths(out)],
+        data=data,
+        live=live,
         version=version("hmasd_jax"),
         limit=megabytes,
     )
@@ -204,26 +222,3 @@ def write_data(runs: list[Run], out: Path) -> None:
             writer = csv.DictWriter(file, list(rows[0]) if rows else ["run"])
             writer.writeheader()
             writer.writerows(rows)
-
-
-def write_reached(reached: list[tuple[int, float]]) -> str:
-    """Write the median and the range of when seeds first reached the threshold."""
-    if not reached:
-        return "never"
-    steps, seconds = np.array(reached, float).T
-    text = f"{np.median(steps):,.0f} env steps, {np.median(seconds):,.0f} s"
-    if len(steps) > 1:
-        text += f" (median of {len(steps)}; {steps.min():,.0f} to {steps.max():,.0f} env steps)"
-    return text
-
-
-def write_estimate(value: Estimate) -> str:
-    """Write a number with its interval, which one sample does not have."""
-    if value.low == value.high:
-        return f"{value.value:.3g}"
-    return f"{value.value:.3g} [{value.low:.3g}, {value.high:.3g}]"
-
-
-def write_percent(value: Estimate) -> str:
-    """Write a share with its interval in percent."""
-    return f"{value.value:.0%} [{value.low:.0%}, {value.high:.0%}]"

@@ -130,7 +130,8 @@ class Display:
         if not self._live and (event.kind == "eval" or due):
             self._last_line = time.monotonic()
             text = f"seed {event.seed}: {track.env_steps:,} env steps, {self._describe(track)}"
-            self._print(f"{text}; all seeds {self._describe_all()}")
+            everyone = self._describe_all()
+            self._print(text + f"; all seeds {everyone}" * bool(everyone))
 
     def _end(self, event: Event, track: Track) -> None:
         track.ended = True
