@@ -167,3 +167,19 @@ def test_draws_skills(run, trained, tmp_path, monkeypatch):
     monkeypatch.setattr(skill_maps, "load_run", lambda *_: other)
     with pytest.raises(RunError, match="is not a run on alice_and_bob"):
         skill_maps.draw_skills(run, out)
+
+
+def test_of_long_episodes_some_steps_are_drawn(trained, episode):
+    length = len(episode.rewards)
+    assert render.frame_times(episode) == list(range(length + 1))
+    times = render.frame_times(episode, most=8)
+    assert times[0] == 0
+    assert times[-1] == length
+    assert len(times) <= 8
+    (pictures,) = render.draw_pictures(trained.env, [episode], most=8)
+    assert len(pictures) == len(times)
+    second = trained.env.render(episode.env_states[times[1]])
+    np.testing.assert_array_equal(pictures[1], second)
+    frames = render.add_captions(trained.env, episode, pictures, most=8)
+    colors = {tuple(pixel) for pixel in frames[-1].reshape(-1, 3)}
+    assert color_of(drawing.WON) in colors

@@ -115,13 +115,13 @@ def cut(env: Environment, played: Played) -> list[Episode]:
         success = timesteps.info.get("success")
         episodes.append(
             Episode(
-                [
+                env_states=[
                     jax.tree.map(lambda x, i=index, t=t: x[i, t], played.env_states)
                     for t in range(length + 1)
                 ],
-                None if skills is None else skills[index, :length],
-                np.asarray(timesteps.reward[index, 1 : length + 1]),
-                None if success is None else bool(success[index, length] > 0),
+                skills=None if skills is None else skills[index, :length],
+                rewards=np.asarray(timesteps.reward[index, 1 : length + 1]),
+                success=None if success is None else bool(success[index, length] > 0),
             )
         )
     return episodes

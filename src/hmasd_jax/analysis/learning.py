@@ -96,7 +96,9 @@ def bands(records: dict[int, list[Record]], kind: str) -> dict[str, Band]:
             continue
         _, seconds = common_steps([_curve(rows, "wall_seconds") for rows in curves])
         low, high = mean_interval(values)
-        found[name] = Band(steps, seconds.mean(axis=0), values, low, high)
+        found[name] = Band(
+            env_steps=steps, seconds=seconds.mean(axis=0), values=values, low=low, high=high
+        )
     return found
 
 

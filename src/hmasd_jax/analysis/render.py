@@ -100,22 +100,31 @@ def draw_episode(
     return add_captions(env, episode, pictures, title, pause)
 
 
+def frame_times(episode: Episode, most: int | None = None) -> list[int]:
+    """Return the steps to draw: all, or every second, third, .. and the last, at most `most`."""
+    last = len(episode.env_states) - 1
+    every = 1 if most is None else max(-(-last // (most - 1)), 1)
+    return sorted({*range(0, last + 1, every), last})
+
+
 def draw_pictures(
-    env: Environment, episodes: Sequence[Episode], max_width: int | None = None
+    env: Environment,
+    episodes: Sequence[Episode],
+    max_width: int | None = None,
+    most: int | None = None,
 ) -> list[list[np.ndarray]]:
-    """Draw all states of episodes in one view, without captions.
+    """Draw states of episodes in one view, without captions.
 
     Args:
         env: Environment of the episodes.
         episodes: Episodes to draw.
         max_width: Width to which wider pictures are scaled down, in pixels.
+        most: Most pictures of an episode, at its `frame_times`; None draws all states.
     """
-    states = [state for episode in episodes for state in episode.env_states]
+    times = [frame_times(episode, most) for episode in episodes]
+    states = [e.env_states[time] for e, own in zip(episodes, times) for time in own]
     pictures = iter(draw_states(env, states))
-    return [
-        [shrink(picture, max_width) for picture in islice(pictures, len(episode.env_states))]
-        for episode in episodes
-    ]
+    return [[shrink(x, max_width) for x in islice(pictures, len(own))] for own in times]
 
 
 def add_captions(
@@ -124,12 +133,22 @@ def add_captions(
     pictures: Sequence[np.ndarray],
     title: str = "",
     pause: int = 0,
+    most: int | None = None,
 ) -> list[np.ndarray]:
-    """Add borders and captions to the pictures of an episode; see `draw_episode`."""
+    """Add borders and captions to the pictures of an episode.
+
+    Args:
+        env: Environment of the episode.
+        episode: The episode.
+        pictures: Its pictures, as `draw_pictures` returns them.
+        title: Text on the right.
+        pause: Number of times to repeat the last frame.
+        most: As in `draw_pictures`.
+    """
     length = len(episode.rewards)
     agents = describe_agents(env)
     frames = []
-    for time, picture in enumerate(pictures):
+    for time, picture in zip(frame_times(episode, most), pictures):
         skills = None if episode.skills is None else episode.skills[min(time, length - 1)]
         total = float(episode.rewards[:time].sum())
         text, color = f"step {time}, return {total:g}", INK

@@ -62,7 +62,9 @@ def _find_space(
     inputs, log_prob = (pair.state, team) if level == "team" else (pair.obs[:, 0], individual[:, 0])
     points, explained = principal_components(np.asarray(inputs))
     confusion = np.array([np.exp(log_prob[skills == z]).mean(axis=0) for z in held])
-    return SkillSpace(level, points, skills, explained, confusion)
+    return SkillSpace(
+        level=level, points=points, skills=skills, explained=explained, confusion=confusion
+    )
 
 
 def _sample(plays: Plays, count: int) -> SkillPair:

@@ -162,7 +162,13 @@ def study_skills(
         plays[condition] = jax.device_get(summary)
         if condition.kind in ("free", "held"):
             films[condition] = cut(env, jax.device_get(first))[0]
-    return SkillStudy(trained.env_steps, *counts, plays, films)
+    return SkillStudy(
+        env_steps=trained.env_steps,
+        num_team_skills=counts[0],
+        num_skills=counts[1],
+        plays=plays,
+        films=films,
+    )
 
 
 def summarize(env: Environment, played: Played) -> Plays:

@@ -52,7 +52,12 @@ def make_film(frames: list[NDArray[np.uint8]], limit: int) -> Film:
             if len(data) <= limit or shown <= 2:
                 break
             shown = max(2, min(shown - 1, int(0.9 * shown * limit / len(data))))
-    return Film(_uri("video/mp4", data), shown, len(frames), picture_uri(frames[0]))
+    return Film(
+        uri=_uri("video/mp4", data),
+        shown=shown,
+        total=len(frames),
+        poster=picture_uri(frames[0]),
+    )
 
 
 def _uri(kind: str, data: bytes) -> str:

@@ -62,8 +62,9 @@ def write_report(
         ConfigError: The configuration of a run is not valid in this version.
     """
     check_packages()
+    runs = [Path(run) for run in runs]
     for run in runs:
-        read_config(Path(run))  # raises the errors
+        read_config(run)  # raises the errors
     out = check_out(Path(out), runs)
     found = gather_runs(runs, episodes, num_seeds, solved_at, track)
     page = render_page(found, megabytes, track, [path.name for path in data_paths(out)])
@@ -86,11 +87,10 @@ def gather_runs(
     runs: Sequence[Path], episodes: int, num_seeds: int, solved_at: float | None, track: Track
 ) -> list[Run]:
     """Gather all runs of a report; see `write_report`."""
-    runs = [Path(run) for run in runs]
     tables = [json.loads((run / "config.json").read_text()) for run in runs]
     return [
         gather(run, label, episodes, num_seeds, solved_at, track)
-        for run, label in zip(runs, labels_of(runs, tables))
+        for run, label in zip(runs, labels_of(list(runs), tables))
     ]
 
 

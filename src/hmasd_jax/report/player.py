@@ -24,7 +24,11 @@ TIMELINE = {"xaxis": "x2", "yaxis": "y2"}
 
 
 def draw_player(
-    env: Environment, episode: Episode, frames: list[NDArray[np.uint8]], frame_budget: int
+    env: Environment,
+    episode: Episode,
+    frames: list[NDArray[np.uint8]],
+    frame_times: list[int],
+    frame_budget: int,
 ) -> tuple[go.Figure, int]:
     """Return a figure whose slider and play button move film and timeline together.
 
@@ -32,14 +36,15 @@ def draw_player(
         env: Environment of the episode.
         episode: The episode.
         frames: Pictures of its states, the first and the last included.
+        frame_times: Step of each picture.
         frame_budget: Most frames to show.
 
     Returns:
         The figure, and the number of steps between two frames.
     """
     every = -(-len(frames) // min(MAX_FRAMES, frame_budget))
-    times = list(range(0, len(frames), every))
-    times += [len(frames) - 1] * (times[-1] != len(frames) - 1)
+    kept = sorted({*range(0, len(frames), every), len(frames) - 1})
+    times = [frame_times[index] for index in kept]
     height, width = frames[0].shape[:2]
     rows = ["return"]
     if episode.skills is not None:
@@ -47,7 +52,7 @@ def draw_player(
     timeline = ROW * len(rows)
     plot = height + GAP + timeline
     figure = new_figure(plot + BELOW, showlegend=True)
-    images = [picture_uri(frames[time], 70) for time in times]
+    images = [picture_uri(frames[index], 70) for index in kept]
     figure.add_trace(go.Image(source=images[0], hoverinfo="skip", xaxis="x", yaxis="y"))
     figure.add_trace(_cursor(0, len(rows)))
     for trace in _bars(episode, rows):
@@ -57,14 +62,14 @@ def draw_player(
         go.Frame(name=str(t), data=[go.Image(source=image), _cursor(t, len(rows))], traces=[0, 1])
         for t, image in zip(times, images)
     ]
-    _arrange(figure, rows, (width, height), len(frames) - 1, timeline / plot)
+    _arrange(figure, rows, (width, height), times[-1], timeline / plot)
     below = -50 / plot  # Paper coordinates: 0 is the time axis.
     figure.update_layout(
         sliders=[_slider(times) | {"y": below}],
         updatemenus=[_buttons() | {"y": below}],
         legend={"orientation": "h", "y": -110 / plot, "x": 0, "yanchor": "top"},
     )
-    return figure, every
+    return figure, times[1] - times[0] if len(times) > 1 else 1
 
 
 def _cursor(time: int, rows: int) -> go.Scatter:

@@ -185,8 +185,9 @@ def serve(
         require(package, "serve", "a live report")
     import uvicorn
 
+    runs = [Path(run) for run in runs]
     for run in runs:
-        read_config(Path(run))  # raises the errors
+        read_config(run)  # raises the errors
     bound = bind(port)
 
     def make(version: str) -> str:
@@ -195,7 +196,7 @@ def serve(
 
     live = LiveReport(runs, make)
     threading.Thread(target=live.watch, daemon=True).start()
-    app = make_app(live, partial(_first_driver, Path(runs[0])))
+    app = make_app(live, partial(_first_driver, runs[0]))
     print(f"http://{LOOPBACK}:{bound.getsockname()[1]} (Ctrl-C stops it)", flush=True)
     with bound:
         uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[bound])

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from envs_jax.declared import cell_pixels, describe_agents, name_actions
 from hmasd_jax.analysis.frames import shrink
-from hmasd_jax.analysis.render import add_captions, draw_pictures
+from hmasd_jax.analysis.render import add_captions, draw_pictures, frame_times
 from hmasd_jax.analysis.skill_space import find_spaces, occupancy
 from hmasd_jax.analysis.skills import FREE, Condition
 from hmasd_jax.analysis.statistics import Estimate, estimate_mean
@@ -26,6 +26,8 @@ from hmasd_jax.report.player import draw_player
 
 MAX_WIDTH = 400
 """Widest picture on the page (pixels)."""
+MAX_FRAMES = 200
+"""Most frames of a film; of longer episodes every second, third, .. step is drawn."""
 PLAIN = "#0072B2"
 """Color of what belongs to no skill."""
 
@@ -86,7 +88,8 @@ def view_seed(seed: Seed, name: str, film_limit: int, frame_budget: int) -> Seed
     env, free = trained.env, study.plays[FREE]
     found = measure_usefulness(study)
     films = _draw_films(seed)
-    player, every = draw_player(env, study.films[FREE], films[FREE], frame_budget)
+    times = frame_times(study.films[FREE], MAX_FRAMES)
+    player, every = draw_player(env, study.films[FREE], films[FREE], times, frame_budget)
     held = [condition for condition in study.plays if condition.kind == "held"]
     shown = held or [FREE]
     behaviors = {c: behavior(study.plays[c], name_actions(env)) for c in shown}
@@ -121,9 +124,9 @@ def _individual(found: list[Usefulness]) -> list[Usefulness]:
 def _draw_films(seed: Seed) -> dict[Condition, list[NDArray[np.uint8]]]:
     """Draw all films in one view, so that they can be compared."""
     env, films = seed.trained.env, seed.study.films
-    pictures = draw_pictures(env, list(films.values()), MAX_WIDTH)
+    pictures = draw_pictures(env, list(films.values()), MAX_WIDTH, MAX_FRAMES)
     return {
-        condition: add_captions(env, episode, drawn)
+        condition: add_captions(env, episode, drawn, most=MAX_FRAMES)
         for (condition, episode), drawn in zip(films.items(), pictures)
     }
 
@@ -138,7 +141,9 @@ def _cards(
     maps = _maps(seed)
     if not found:
         film = make_film(films[FREE], film_limit)
-        return {"Policy": [Card("policy", PLAIN, film, maps.get(FREE), None)]}
+        return {
+            "Policy": [Card(name="policy", color=PLAIN, film=film, map=maps.get(FREE), facts=None)]
+        }
     cards: dict[str, list[Card]] = {}
     for entry in found:
         condition = Condition("held", entry.level, entry.skill)
