@@ -35,7 +35,8 @@ def test_scores_leave_out_the_untrained_policy(run):
     assert learned.mean.value == pytest.approx(np.mean([1.0, 0.75, 0.0]))
     assert learned.solved.value == pytest.approx(1 / 3)
     assert learned.reached == [(200, 1.0), (300, 1.0)]
-    assert learning.main_metric(records) == "success"
+    assert learning.main_metric(learning.bands(records, "eval")) == "success"
+    assert learning.main_metric(["return", "length"]) == "return"
 
 
 def test_before_the_first_evaluation_there_is_nothing_to_say(tmp_path):

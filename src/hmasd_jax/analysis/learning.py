@@ -3,7 +3,7 @@
 Scores leave out the evaluation at step 0, which is of the untrained policy.
 """
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from hmasd_jax.runs.folder import metrics_path, read_config, seeds_of
 from hmasd_jax.runs.metrics_log import NOT_METRICS, Record
 
 LAST = 5
-"""Number of last evaluations whose mean is the score of a seed."""
+"""Number of last evaluations whose mean is the score of a seed, to even out their noise."""
 
 
 class Band(NamedTuple):
@@ -140,11 +140,12 @@ def summarize(
     )
 
 
-def main_metric(records: dict[int, list[Record]]) -> str:
-    """Return the metric that a task is judged by: success if it has one, else the return."""
-    names = {
-        name for rows in records.values() for row in rows if row["kind"] == "eval" for name in row
-    }
+def main_metric(names: Container[str]) -> str:
+    """Return the metric that a task is judged by: success if it has one, else the return.
+
+    Args:
+        names: Names of the metrics of its evaluations, e.g. one record.
+    """
     return "success" if "success" in names else "return"
 
 

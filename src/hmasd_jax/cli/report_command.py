@@ -14,8 +14,17 @@ Item = TypeVar("Item")
 
 def report(options: ReportOptions) -> int:
     """Write or serve a report of runs and return the exit code."""
+    settings = {
+        "episodes": options.episodes,
+        "num_seeds": options.seeds,
+        "megabytes": options.megabytes,
+        "solved_at": options.solved_at,
+    }
     if options.serve:
-        return _serve(options)
+        from hmasd_jax.report.serve import serve
+
+        serve(options.runs, options.port, **settings)
+        return 0
     from hmasd_jax.report.page import count_tracked, write_report
 
     total = sum(count_tracked(run, options.seeds) for run in options.runs)
@@ -28,33 +37,10 @@ def report(options: ReportOptions) -> int:
                 yield item
                 progress.advance(task)
 
-        out = write_report(
-            options.runs,
-            options.out,
-            episodes=options.episodes,
-            num_seeds=options.seeds,
-            megabytes=options.megabytes,
-            solved_at=options.solved_at,
-            track=track,
-        )
+        out = write_report(options.runs, options.out, track=track, **settings)
     size = out.stat().st_size / 1e6
     print(f"{out} ({size:.1f} MB); open it in a browser")
     if size > options.megabytes:
         print(f"it is larger than {options.megabytes:g} MB: show fewer seeds with --seeds")
     suggest_next("render", options.runs[0], "--out", "episode.gif")
-    return 0
-
-
-def _serve(options: ReportOptions) -> int:
-    """Serve a report of runs until interrupted and return the exit code."""
-    from hmasd_jax.report.serve import serve
-
-    serve(
-        options.runs,
-        options.port,
-        episodes=options.episodes,
-        num_seeds=options.seeds,
-        megabytes=options.megabytes,
-        solved_at=options.solved_at,
-    )
     return 0

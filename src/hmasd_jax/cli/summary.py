@@ -10,13 +10,11 @@ from rich.table import Table
 
 from envs_jax.optional import MissingPackageError
 from hmasd_jax.analysis.curves import plot_runs
+from hmasd_jax.analysis.learning import LAST, main_metric
 from hmasd_jax.analysis.statistics import few_seeds
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path, seeds_of, write_json
 from hmasd_jax.training.job import Event
-
-LAST = 5
-"""Number of last evaluations that the summary averages, to even out their noise."""
 
 
 def write(run: Path, results: dict[int, Event]) -> None:
@@ -54,11 +52,6 @@ def summarize(run: Path, index: int) -> dict[str, Any]:
         "num_averaged": len(last),
         "best": max(values),
     }
-
-
-def main_metric(evaluation: dict[str, Any]) -> str:
-    """Return the metric that a task is judged by: success if it has one, else the return."""
-    return "success" if "success" in evaluation else "return"
 
 
 def over_seeds(seeds: dict[str, Any]) -> dict[str, float]:

@@ -80,7 +80,8 @@ def gather(
     """
     records = read_records(path)
     table = json.loads((path / "config.json").read_text())
-    metric = main_metric(records)
+    evaluation = bands(records, "eval")
+    metric = main_metric(evaluation or ["success"])
     if solved_at is None:
         solved_at = SOLVED_AT if metric == "success" else 1e-9
     seeds, lacks = study_seeds(path, list(records), episodes, num_seeds, track)
@@ -97,7 +98,7 @@ def gather(
         records=records,
         metric=metric,
         learned=summarize(records, metric, solved_at),
-        evaluation=bands(records, "eval"),
+        evaluation=evaluation,
         training=bands(records, "train"),
         seeds=seeds,
         lacks=[*_lacking_records(path, records), *lacks],
