@@ -4,7 +4,6 @@ import csv
 import hashlib
 import json
 import re
-import shutil
 from pathlib import Path
 
 import pytest
@@ -135,9 +134,11 @@ def test_the_notebook_runs(hmasd, tmp_path, monkeypatch, capsys):
 
 def test_a_run_that_has_just_begun_gets_a_page(tmp_path):
     run = write_run(tmp_path / "new", [], **HMASD)
+    (run / "run.json").write_text("{")
     out = page.write_report([run], tmp_path / "new.html")
     assert "no evaluation yet" in body_of(out)
     assert "The run has no seed yet." in body_of(out)
+    assert "run.json cannot be read." in body_of(out)
 
 
 def test_bad_input_is_one_error_and_writes_nothing(hmasd, tmp_path):

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 from hmasd_jax.analysis.learning import Band, Learned, bands, main_metric, read_records, summarize
 from hmasd_jax.analysis.skills import Player, SkillStudy, Track, make_player, study_skills
-from hmasd_jax.config import identity
+from hmasd_jax.config import identity, to_json
 from hmasd_jax.config.presets import find_preset
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.checkpoint import CheckpointError
-from hmasd_jax.runs.folder import RunError, metrics_path
+from hmasd_jax.runs.folder import RunError, metrics_path, read_config
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.runs.metrics_log import Record
 
@@ -79,14 +79,15 @@ def gather(
         ConfigError: The configuration of the run is not valid in this version.
     """
     records = read_records(path)
-    table = json.loads((path / "config.json").read_text())
+    table = to_json(read_config(path))
     evaluation = bands(records, "eval")
     metric = main_metric(evaluation or ["success"])
     if solved_at is None:
         solved_at = SOLVED_AT if metric == "success" else 1e-9
     seeds, lacks = study_seeds(path, list(records), episodes, num_seeds, track)
     preset = find_preset(table)
-    about = path / "run.json"
+    about, no_about = _read_json(path / "run.json")
+    summary, no_summary = _read_json(path / "summary.json")
     return Run(
         path=path,
         label=label,
@@ -94,14 +95,14 @@ def gather(
         algorithm=table["algorithm"]["name"],
         settings=compare_settings(identity(table), preset[1] if preset else None),
         preset=preset[0] if preset else None,
-        about=json.loads(about.read_text()) if about.is_file() else {},
+        about=about,
         records=records,
         metric=metric,
         learned=summarize(records, metric, solved_at),
         evaluation=evaluation,
         training=bands(records, "train"),
         seeds=seeds,
-        lacks=[*_lacking_records(path, records), *lacks],
+        lacks=[*_lacking_records(path, records, summary), *lacks, *no_about, *no_summary],
     )
 
 
@@ -149,7 +150,20 @@ def _task_name(env: dict[str, Any]) -> str:
     return f"{env['name']} {part}" if known else env["name"]
 
 
-def _lacking_records(path: Path, records: dict[int, list[Record]]) -> list[str]:
+def _read_json(path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return a table, empty if there is no such file, and a sentence if it cannot be read."""
+    try:
+        table = json.loads(path.read_text())
+    except FileNotFoundError:
+        return {}, []
+    except (OSError, ValueError):
+        return {}, [f"{path.name} cannot be read."]
+    return (table, []) if isinstance(table, dict) else ({}, [f"{path.name} is no table."])
+
+
+def _lacking_records(
+    path: Path, records: dict[int, list[Record]], summary: dict[str, Any]
+) -> list[str]:
     """Say which seeds have no evaluation, and which ones failed."""
     lacks = [
         f"Seed {seed} has no evaluation yet."
@@ -159,9 +173,7 @@ def _lacking_records(path: Path, records: dict[int, list[Record]]) -> list[str]:
     lacks += ["The run has no seed yet."] * (not records)
     damages = (metrics_log.find_damage(metrics_path(path, seed)) for seed in records)
     lacks += [f"{damage}." for damage in damages if damage]
-    summary = path / "summary.json"
-    ends = json.loads(summary.read_text())["seeds"] if summary.is_file() else {}
-    for seed, end in ends.items():
+    for seed, end in summary.get("seeds", {}).items():
         if end.get("status") == "failed":
             lacks.append(f"Seed {seed} failed: {end.get('message', 'without a message')}.")
     return lacks

@@ -1,7 +1,6 @@
 """The page: one HTML file with script, films and pictures inside, and its data beside it."""
 
 import csv
-import json
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +11,7 @@ from hmasd_jax.analysis.curves import labels_of
 from hmasd_jax.analysis.learning import Band, curve_rows
 from hmasd_jax.analysis.skills import Track, conditions, count_skills
 from hmasd_jax.analysis.usefulness import table
+from hmasd_jax.config import to_json
 from hmasd_jax.report.gather import Run, gather
 from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
@@ -87,7 +87,7 @@ def gather_runs(
     runs: Sequence[Path], episodes: int, num_seeds: int, solved_at: float | None, track: Track
 ) -> list[Run]:
     """Gather all runs of a report; see `write_report`."""
-    tables = [json.loads((run / "config.json").read_text()) for run in runs]
+    tables = [to_json(read_config(run)) for run in runs]
     return [
         gather(run, label, episodes, num_seeds, solved_at, track)
         for run, label in zip(runs, labels_of(list(runs), tables))
