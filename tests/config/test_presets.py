@@ -1,6 +1,7 @@
 """Comments in the shipped presets, and the features that their indices stand for."""
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax.config import load
+from hmasd_jax.config import from_json, load
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EAST = 4
@@ -73,6 +74,28 @@ def test_the_general_preset_has_the_same_settings_of_the_algorithm_in_all_tasks(
     "path", sorted(CONFIGS.glob("**/hmasd_general.toml")), ids=lambda path: path.parent.name
 )
 def test_the_general_preset_plays_the_papers_environment_and_gives_no_hint(path):
-    config = load(path)
-    assert config.env == load(path.with_name("hmasd.toml")).env
+    config, papers = load(path), load(path.with_name("hmasd.toml")).env
+    if "micro_battle" in path.parts:  # The state may have either format.
+        papers = dataclasses.replace(papers, state=config.env.state)
+    assert config.env == papers
     assert config.algorithm.discriminator_obs == ()
+
+
+@pytest.mark.parametrize("name", ["hmasd", "mappo", "mat"])
+@pytest.mark.parametrize(
+    ("scenario", "sizes"), [("3m", (64, 48)), ("2s_vs_1sc", (37, 27)), ("2m_vs_1z", (36, 26))]
+)
+def test_the_papers_battles_have_the_sizes_of_the_authors_code(name, scenario, sizes):
+    env = load(CONFIGS / f"micro_battle/{scenario}/{name}.toml").env
+    assert (env.obs_dim, env.state_dim) == sizes
+
+
+def test_battles_recorded_before_the_state_had_its_own_format_keep_theirs():
+    files = (CONFIGS.parent / "results/micro_battle").rglob("*.json")
+    results = [json.loads(path.read_text()) for path in files]
+    tables = [result["config"]["env"] for result in results if "config" in result]
+    tables = [table for table in tables if "state" not in table]
+    assert tables
+    for table in tables:
+        env = from_json({"env": table}).env
+        assert env.state_dim == {"3m": 75, "2s_vs_1sc": 34, "2m_vs_1z": 33}[env.scenario]
