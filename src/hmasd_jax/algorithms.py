@@ -4,6 +4,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from envs_jax import Environment
+from hmasd_jax.baselines.ippo import IPPOConfig, make_ippo
 from hmasd_jax.baselines.mappo import MAPPOConfig, make_mappo
 from hmasd_jax.baselines.mat import MATConfig, make_mat
 from hmasd_jax.hmasd.algorithm import make_hmasd
@@ -22,6 +23,7 @@ class AlgorithmEntry(NamedTuple):
 
 ALGORITHMS: dict[str, AlgorithmEntry] = {
     "hmasd": AlgorithmEntry(HMASDConfig, make_hmasd),
+    "ippo": AlgorithmEntry(IPPOConfig, make_ippo),
     "mappo": AlgorithmEntry(MAPPOConfig, make_mappo),
     "mat": AlgorithmEntry(MATConfig, make_mat),
 }
