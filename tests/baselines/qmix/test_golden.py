@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 
 from hmasd_jax.baselines.qmix import maser
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig
-from hmasd_jax.baselines.qmix.learner import evaluate, factorization_loss, make_optimizer
+from hmasd_jax.baselines.qmix.learner import evaluate_episodes, factorization_loss, make_optimizer
 from hmasd_jax.baselines.qmix.networks import (
     AgentNet,
     DistanceNet,
@@ -106,7 +106,9 @@ def by_time(x):
 def test_values_and_targets(golden):
     algorithm, data, weights, episodes = golden
     networks = NETWORKS[algorithm]
-    values = jax.jit(partial(evaluate, networks))(weights["before"], weights["target"], episodes)
+    values = jax.jit(partial(evaluate_episodes, networks))(
+        weights["before"], weights["target"], episodes
+    )
     valid = episodes.valid
     assert_allclose(values.online[:-1][valid], by_time(data["values"])[:-1][valid], atol=2e-5)
     assert_allclose(values.total[valid], by_time(data["total"])[valid], rtol=1e-4, atol=1e-5)
@@ -120,7 +122,9 @@ def test_values_and_targets(golden):
 def test_subgoals_and_intrinsic_reward_of_maser():
     data, weights = load("maser")
     networks, episodes = NETWORKS["maser"], episodes_of(data)
-    values = jax.jit(partial(evaluate, networks))(weights["before"], weights["target"], episodes)
+    values = jax.jit(partial(evaluate_episodes, networks))(
+        weights["before"], weights["target"], episodes
+    )
     goal = maser.subgoals(values.greedy[:-1], values.greedy_total[:-1], episodes.valid, 0.6)
     np.testing.assert_array_equal(goal, data["goal"])
     features = networks.features(weights["before"], episodes.seen.obs[:-1])

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 
 from hmasd_jax.baselines.qmix import algorithm
 from hmasd_jax.baselines.qmix.config import QLearningConfig
-from hmasd_jax.baselines.qmix.learner import Values, evaluate, td_loss
+from hmasd_jax.baselines.qmix.learner import Values, evaluate_episodes, td_loss
 from hmasd_jax.baselines.qmix.networks import AgentNet, Networks, QMIXMixer, VDNMixer
 from hmasd_jax.baselines.qmix.replay import Episodes, Seen
 
@@ -53,7 +53,7 @@ def test_double_q_learning_takes_the_target_of_the_legal_action_that_is_best_onl
     episodes = random_episodes(jax.random.key(0))
     first = SimpleNamespace(**{k: v[0] for k, v in episodes.seen._asdict().items()})
     params, target = (networks.init(jax.random.key(i), first) for i in (1, 2))
-    values = jax.jit(lambda *x: evaluate(networks, *x))(params, target, episodes)
+    values = jax.jit(lambda *x: evaluate_episodes(networks, *x))(params, target, episodes)
     online = np.where(episodes.seen.action_mask, values.online, -np.inf)
     best = online.argmax(-1)
     assert (best != np.asarray(values.online).argmax(-1)).any()  # the mask matters

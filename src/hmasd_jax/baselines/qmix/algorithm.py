@@ -13,7 +13,7 @@ from envs_jax import Environment
 from hmasd_jax.baselines.qmix import maser
 from hmasd_jax.baselines.qmix import replay as replays
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig, QMIXConfig, VDNConfig
-from hmasd_jax.baselines.qmix.learner import Loss, factorization_loss, learn, make_optimizer
+from hmasd_jax.baselines.qmix.learner import Loss, factorization_loss, make_optimizer
 from hmasd_jax.baselines.qmix.networks import (
     AgentMemory,
     AgentNet,
@@ -26,6 +26,7 @@ from hmasd_jax.baselines.qmix.networks import (
 from hmasd_jax.baselines.qmix.replay import Replay, Seen, Step
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.categorical import mask_logits
+from hmasd_jax.rl.sgd import gradient_step
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 
 
@@ -114,7 +115,7 @@ def init_state(parts: Parts, key: Key) -> QLearningState:
 
 def epsilon(config: QLearningConfig, num_updates: Int[Array, ""]) -> Float[Array, ""]:
     """Return the probability of a random action, which falls linearly with environment steps."""
-    env_steps = num_updates * (config.num_envs * config.rollout_length)
+    env_steps = num_updates * float(config.num_envs * config.rollout_length)
     done = jnp.minimum(env_steps / max(config.epsilon_steps, 1), 1.0)
     return config.epsilon_start + done * (config.epsilon_end - config.epsilon_start)
 
@@ -147,6 +148,44 @@ def make_policy(parts: Parts, state: QLearningState, greedy: bool = True) -> Pol
     return Policy(init, step)
 
 
+def learn(
+    parts: Parts, state: QLearningState, replay: Replay, key: Key
+) -> tuple[Learner, dict, Metrics]:
+    """Take the gradient steps of one update, each on newly drawn episodes.
+
+    Nothing is learned while fewer episodes have ended than a batch holds. Metrics are then 0.
+
+    Returns:
+        The learner, the target networks, and the metrics averaged over the steps.
+    """
+    config = parts.config
+
+    def step(learner: Learner, target_params: dict, key: Key) -> tuple[Learner, Metrics]:
+        episodes = replays.sample(replay, key, config.batch_size, parts.env.max_steps)
+        return gradient_step(learner, parts.optimizer, parts.loss, target_params, episodes)
+
+    def skip(learner: Learner, target_params: dict, key: Key) -> tuple[Learner, Metrics]:
+        shapes = jax.eval_shape(step, learner, target_params, key)[1]
+        return learner, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+
+    def step_and_copy(carry, inputs):
+        learner, target_params = carry
+        number, key = inputs
+        ready = replay.ended >= config.batch_size
+        learner, metrics = jax.lax.cond(ready, step, skip, learner, target_params, key)
+        copies = number % config.target_interval == 0
+        target_params = jax.tree.map(partial(jnp.where, copies), learner.params, target_params)
+        return (learner, target_params), metrics
+
+    # The number of each gradient step of the run, from 1.
+    numbers = state.num_updates * config.gradient_steps + 1 + jnp.arange(config.gradient_steps)
+    keys = jax.random.split(key, config.gradient_steps)
+    (learner, target_params), metrics = jax.lax.scan(
+        step_and_copy, (state.learner, state.target_params), (numbers, keys)
+    )
+    return learner, target_params, jax.tree.map(jnp.mean, metrics)
+
+
 def train_iteration(parts: Parts, state: QLearningState) -> tuple[QLearningState, Metrics]:
     """Do one rollout, add it to the replay, and learn from replayed episodes."""
     key, key_rollout, key_learn = jax.random.split(state.key, 3)
@@ -156,10 +195,7 @@ def train_iteration(parts: Parts, state: QLearningState) -> tuple[QLearningState
         parts.env, policy.step, state.env, state.memory, key_rollout, config.rollout_length
     )
     replay = replays.add(state.replay, transitions, config.bootstrap_truncation)
-    learner, target_params, metrics = learn(
-        parts.loss, parts.optimizer, state.learner, state.target_params, replay,
-        state.num_updates * config.gradient_steps, key_learn, config, parts.env.max_steps,
-    )  # fmt: skip
+    learner, target_params, metrics = learn(parts, state, replay, key_learn)
     metrics |= {"epsilon": epsilon(config, state.num_updates)}
     next_state = QLearningState(
         key=key,

@@ -1,10 +1,9 @@
-"""Targets, loss and gradient steps of value factorization (PyMARL `q_learner.py`).
+"""Targets, loss and optimizer of value factorization (PyMARL `q_learner.py`).
 
 Axes: T steps, or T + 1 with the one after the last, B episodes, N agents.
 """
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -12,14 +11,12 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int
 
-from hmasd_jax.baselines.qmix import replay as replays
 from hmasd_jax.baselines.qmix.config import QLearningConfig
 from hmasd_jax.baselines.qmix.networks import Networks
-from hmasd_jax.baselines.qmix.replay import Episodes, Replay
+from hmasd_jax.baselines.qmix.replay import Episodes
 from hmasd_jax.rl.categorical import mask_logits
 from hmasd_jax.rl.ppo import masked_mean
-from hmasd_jax.rl.sgd import gradient_step
-from hmasd_jax.types import Key, Learner, Metrics
+from hmasd_jax.types import Metrics
 
 Loss = Callable[[dict, dict, Episodes], tuple[Float[Array, ""], Metrics]]
 """`loss(params, target_params, episodes)`."""
@@ -42,7 +39,9 @@ class Values(NamedTuple):
     """`greedy`, mixed by the target networks."""
 
 
-def evaluate(networks: Networks, params: dict, target_params: dict, episodes: Episodes) -> Values:
+def evaluate_episodes(
+    networks: Networks, params: dict, target_params: dict, episodes: Episodes
+) -> Values:
     """Evaluate both sets of networks over whole episodes."""
     seen, action = episodes.seen, episodes.action
     online = networks.values(params, seen.obs, action)
@@ -89,7 +88,7 @@ def factorization_loss(
     networks: Networks, discount: float, params: dict, target_params: dict, episodes: Episodes
 ) -> tuple[Float[Array, ""], Metrics]:
     """Return the loss of VDN and QMIX, which differ in their mixer alone."""
-    values = evaluate(networks, params, target_params, episodes)
+    values = evaluate_episodes(networks, params, target_params, episodes)
     return td_loss(values, episodes.reward, episodes, discount)
 
 
@@ -101,58 +100,3 @@ def make_optimizer(config: QLearningConfig) -> optax.GradientTransformation:
             config.learning_rate, config.rms_decay, config.rms_epsilon, eps_in_sqrt=False
         ),
     )
-
-
-def learn(
-    loss: Loss,
-    optimizer: optax.GradientTransformation,
-    learner: Learner,
-    target_params: dict,
-    replay: Replay,
-    steps_done: Int[Array, ""],
-    key: Key,
-    config: QLearningConfig,
-    max_steps: int,
-) -> tuple[Learner, dict, Metrics]:
-    """Take the gradient steps of one update, each on a newly drawn batch.
-
-    Nothing is learned while fewer episodes have ended than a batch holds. Metrics are then 0.
-
-    Args:
-        loss: Loss of the algorithm.
-        optimizer: Optimizer of the learner.
-        learner: Networks that learn.
-        target_params: Networks that the targets are computed with.
-        replay: Episodes.
-        steps_done: Gradient steps of earlier updates, which decide when to copy the networks.
-        key: PRNG key that draws the batches.
-        config: Sizes and intervals.
-        max_steps: T, the longest episode.
-
-    Returns:
-        The learner, the target networks, and the metrics averaged over the steps.
-    """
-
-    def step(learner: Learner, target_params: dict, key: Key) -> tuple[Learner, Metrics]:
-        episodes = replays.sample(replay, key, config.batch_size, max_steps)
-        return gradient_step(learner, optimizer, loss, target_params, episodes)
-
-    def skip(learner: Learner, target_params: dict, key: Key) -> tuple[Learner, Metrics]:
-        shapes = jax.eval_shape(step, learner, target_params, key)[1]
-        return learner, jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-
-    def step_and_copy(carry, inputs):
-        learner, target_params = carry
-        number, key = inputs
-        ready = replay.ended >= config.batch_size
-        learner, metrics = jax.lax.cond(ready, step, skip, learner, target_params, key)
-        copies = (steps_done + number) % config.target_interval == 0
-        target_params = jax.tree.map(partial(jnp.where, copies), learner.params, target_params)
-        return (learner, target_params), metrics
-
-    numbers = 1 + jnp.arange(config.gradient_steps)
-    keys = jax.random.split(key, config.gradient_steps)
-    (learner, target_params), metrics = jax.lax.scan(
-        step_and_copy, (learner, target_params), (numbers, keys)
-    )
-    return learner, target_params, jax.tree.map(jnp.mean, metrics)

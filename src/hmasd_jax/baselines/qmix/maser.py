@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.baselines.qmix.config import MASERConfig, MASERVariant
-from hmasd_jax.baselines.qmix.learner import Values, evaluate, td_loss
+from hmasd_jax.baselines.qmix.learner import Values, evaluate_episodes, td_loss
 from hmasd_jax.baselines.qmix.networks import MASERNetworks
 from hmasd_jax.baselines.qmix.replay import Episodes
 from hmasd_jax.rl.ppo import masked_mean
@@ -125,7 +125,7 @@ def released_loss(
 
     Credit is that of the next step. The code's other two losses depend on nothing that it trains.
     """
-    values = evaluate(networks, params, target_params, episodes)
+    values = evaluate_episodes(networks, params, target_params, episodes)
     features = networks.features(params, episodes.seen.obs[:-1])
     greedy, total = values.greedy[:-1], values.greedy_total[:-1]
     goal = subgoals(greedy, total, episodes.valid, config.individual_weight)
@@ -146,7 +146,7 @@ def paper_loss(
     values are kept even from the subgoal onwards. Subgoals are chosen by the total value of the
     actions taken, and credit is that of the same step.
     """
-    values = evaluate(networks, params, target_params, episodes)
+    values = evaluate_episodes(networks, params, target_params, episodes)
     features = networks.features(params, episodes.seen.obs[:-1])
     greedy, total = values.greedy[:-1], jax.lax.stop_gradient(values.total)
     goal = subgoals(greedy, total, episodes.valid, config.individual_weight)

@@ -4,7 +4,7 @@ Axes: W steps in the ring, E environment copies, C episodes in the table, L step
 T the longest episode, B episodes of a batch.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -157,13 +157,10 @@ def sample(replay: Replay, key: Key, batch_size: int, max_steps: int) -> Episode
     def close(x: Array, last: Array) -> Array:
         return jnp.where(is_final.reshape(*is_final.shape, *[1] * (x.ndim - 2)), last, x)
 
-    def before_last(x: Any) -> Any:
-        return x[:-1]
-
     return Episodes(
         seen=jax.tree.map(close, steps.seen, final),
-        action=before_last(steps.action),
-        reward=before_last(steps.reward),
-        terminated=before_last(steps.terminated),
+        action=steps.action[:-1],
+        reward=steps.reward[:-1],
+        terminated=steps.terminated[:-1],
         valid=(time < length)[:-1],
     )
