@@ -25,6 +25,12 @@ from hmasd_jax.training.workers import pin
 
 ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
 """Entries of `run_folder.describe` that a table shows."""
+ON_POLICY = [
+    name
+    for name, entry in ALGORITHMS.items()
+    if "ppo" in {field.name for field in dataclasses.fields(entry.config)}
+]
+"""Algorithms whose updates are all the same work. Those with a replay must fill it first."""
 
 
 @dataclass(frozen=True)
@@ -157,7 +163,7 @@ def training_parser(description: str | None) -> argparse.ArgumentParser:
         "--env", default="alice_and_bob", choices=ENVIRONMENTS, help="default: %(default)s"
     )
     options.add_argument(
-        "--algorithm", default="hmasd", choices=ALGORITHMS, help="default: %(default)s"
+        "--algorithm", default="hmasd", choices=ON_POLICY, help="default: %(default)s"
     )
     return options
 

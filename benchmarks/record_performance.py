@@ -28,6 +28,8 @@ BENCHMARKS = {
     " 57e879c",
     "seeds": "benchmarks/seeds.py",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
+    "maser": "benchmarks/maser.py --python TORCH/bin/python --checkout MASER"
+    " --scenario 3m 2m_vs_1z",
     "growth": "benchmarks/growth.py --repeats 3 --out results/benchmarks/growth.png",
 }
 

@@ -22,10 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.measure import Row, parser, report
+from benchmarks.measure import ON_POLICY, Row, parser, report
 from benchmarks.training import preset
 from envs_jax.registry import ENVIRONMENTS
-from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.analysis.statistics import estimate
 from hmasd_jax.config import TrainConfig
 from hmasd_jax.runs import folder as run_folder
@@ -125,7 +124,7 @@ def main() -> None:
     options = parser(__doc__)
     options.add_argument("commits", nargs="+", metavar="COMMIT", help="the first is the reference")
     options.add_argument("--env", default="alice_and_bob", choices=ENVIRONMENTS)
-    options.add_argument("--algorithm", nargs="+", default=["hmasd"], choices=ALGORITHMS)
+    options.add_argument("--algorithm", nargs="+", default=["hmasd"], choices=ON_POLICY)
     args = options.parse_args()
     pin(run_folder.available_cores()[0])
     rounds = args.repeats * (1 if args.quick else ROUNDS_PER_REPEAT)

@@ -24,10 +24,12 @@ from envs_jax.micro_battle.observations import (
     DIRECTIONS,
     FIRST_ATTACK,
     FIRST_MOVE,
-    Observation,
+    Format,
     action_mask,
+    global_state,
+    obs_size,
     observe,
-    sizes,
+    state_size,
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
 from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw, surround
@@ -60,7 +62,7 @@ class MicroBattle:
     east (+x), west, and 6 + j attack enemy j. An illegal action acts as stop.
 
     Raises:
-        ValueError: The scenario, balance or observation is unknown, or `time_limit` is not a
+        ValueError: The scenario, the balance or a format is unknown, or `time_limit` is not a
             positive whole number.
     """
 
@@ -69,9 +71,13 @@ class MicroBattle:
     balance: Balance = "multi"
     """Unit data of the game: `multi` for those of multiplayer games, `liberty` for those of the
     campaign that SMAC's maps declare. They differ in stalkers and spine crawlers."""
-    observation: Observation = "mappo"
-    """Format of obs and state. `mappo` is that of MAPPO's wrapper around SMAC, used by HMASD's
-    authors with one state for all agents (3m: 64 and 75 numbers). `smac` is SMAC's own (30, 48)."""
+    observation: Format = "mappo"
+    """Format of the observations: `mappo` for that of MAPPO's wrapper around SMAC (3m: 64 numbers),
+    `smac` for SMAC's own (30)."""
+    state: Format | None = None
+    """Format of the global state: `mappo` for the wrapper's with one state for all agents (3m: 75
+    numbers), `smac` for SMAC's own (48). None is the format of the observations. HMASD's authors
+    combine observations of `mappo` with the state of `smac`."""
     time_limit: int | None = None
     """Time limit of an episode in environment steps; None takes that of the scenario."""
 
@@ -85,7 +91,9 @@ class MicroBattle:
                 f"scenario {show(self.scenario)} is unknown{hint}; give a known name or a Scenario"
             )
         check_choice("balance", self.balance, Balance)
-        check_choice("observation", self.observation, Observation)
+        check_choice("observation", self.observation, Format)
+        if self.state is not None:
+            check_choice("state", self.state, Format)
         if self.time_limit is not None:
             check_whole("time_limit", self.time_limit)
 
@@ -107,12 +115,12 @@ class MicroBattle:
     @property
     def obs_dim(self) -> int:
         """Length of an agent's observation vector."""
-        return sizes(self.resolved_scenario, self.observation)[0]
+        return obs_size(self.resolved_scenario, self.observation)
 
     @property
     def state_dim(self) -> int:
         """Length of the global state vector."""
-        return sizes(self.resolved_scenario, self.observation)[1]
+        return state_size(self.resolved_scenario, self.state or self.observation)
 
     @property
     def max_steps(self) -> int:
@@ -226,19 +234,18 @@ class MicroBattle:
         return alive[: self.num_agents].any(0) & ~alive[self.num_agents :].any(0)
 
     def _timestep(self, state: MicroBattleState, won_before: Bool[Array, "*copies"]) -> TimeStep:
-        units = state.units
-        constants = unit_constants(self.resolved_scenario, self.balance, units.x.ndim - 1)
-        mask = action_mask(self.resolved_scenario, units)
-        obs, global_state = observe(
-            self.resolved_scenario, self.observation, constants, units, state.last_action, mask
-        )
+        units, last_action, scenario = state.units, state.last_action, self.resolved_scenario
+        constants = unit_constants(scenario, self.balance, units.x.ndim - 1)
+        mask = action_mask(scenario, units)
         alive = units.health > 0
         allies, enemies = alive[: self.num_agents], alive[self.num_agents :]
         over = ~allies.any(0) | ~enemies.any(0)
         won = self._won(units)
         return TimeStep(
-            obs=obs,
-            state=global_state,
+            obs=observe(scenario, self.observation, constants, units, last_action, mask),
+            state=global_state(
+                scenario, self.state or self.observation, constants, units, last_action
+            ),
             action_mask=mask,
             reward=(won & ~won_before).astype(jnp.float32),
             terminated=over,

@@ -1,9 +1,9 @@
 """Observations, global state and action masks of `micro_battle`.
 
-There are two formats, that of SMAC and that of MAPPO's wrapper around it. Features follow
-`get_obs_agent`, `get_state` and `get_avail_agent_actions` of oxwhirl/smac (starcraft2.py) and of
-marlbenchmark/on-policy (StarCraft2_Env.py) with its default flags and one state for all agents.
-Arrays have units first and copies last, as in `physics`.
+Both observations and state have two formats, that of SMAC and that of MAPPO's wrapper around it.
+Features follow `get_obs_agent`, `get_state` and `get_avail_agent_actions` of oxwhirl/smac
+(starcraft2.py) and of marlbenchmark/on-policy (StarCraft2_Env.py) with its default flags and one
+state for all agents. Arrays have units first and copies last, as in `physics`.
 """
 
 from typing import Literal
@@ -17,7 +17,7 @@ from envs_jax.micro_battle.physics import Units, length
 from envs_jax.micro_battle.scenarios import Scenario, is_floor
 from envs_jax.micro_battle.unit_types import UNIT_TYPES
 
-Observation = Literal["mappo", "smac"]
+Format = Literal["mappo", "smac"]
 
 SIGHT = 9.0
 """Distance in cells below which an agent sees a unit, even through walls."""
@@ -33,20 +33,24 @@ def unit_kinds(scenario: Scenario) -> tuple[str, ...]:
     return tuple(sorted(sides[0] | sides[1])) if max(map(len, sides)) > 1 else ()
 
 
-def sizes(scenario: Scenario, observation: Observation) -> tuple[int, int]:
-    """Return the lengths of an agent's observation and of the global state."""
+def obs_size(scenario: Scenario, form: Format) -> int:
+    """Return the length of an agent's observation."""
     allies, enemies = len(scenario.allies), len(scenario.enemies)
-    actions = FIRST_ATTACK + enemies
-    ally, enemy = (
-        1 + _has_shields(side) + len(unit_kinds(scenario))
-        for side in (scenario.allies, scenario.enemies)
-    )
+    ally, enemy = _vitals_sizes(scenario)
     moves = len(DIRECTIONS)
-    if observation == "smac":
-        obs = moves + enemies * (4 + enemy) + (allies - 1) * (4 + ally) + ally
-        return obs, allies * (3 + ally) + enemies * (2 + enemy) + allies * actions
-    obs = allies * (4 + ally + actions) + enemies * (4 + enemy) + moves + allies
-    return obs, allies * (3 + ally + actions) + enemies * (2 + enemy + actions)
+    if form == "smac":
+        return moves + enemies * (4 + enemy) + (allies - 1) * (4 + ally) + ally
+    actions = FIRST_ATTACK + enemies
+    return allies * (4 + ally + actions) + enemies * (4 + enemy) + moves + allies
+
+
+def state_size(scenario: Scenario, form: Format) -> int:
+    """Return the length of the global state."""
+    allies, enemies = len(scenario.allies), len(scenario.enemies)
+    ally, enemy = _vitals_sizes(scenario)
+    actions = FIRST_ATTACK + enemies
+    blank = actions if form == "mappo" else 0  # Behind the features of each enemy.
+    return allies * (3 + ally + actions) + enemies * (2 + enemy + blank)
 
 
 def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions *copies"]:
@@ -71,31 +75,26 @@ def action_mask(scenario: Scenario, units: Units) -> Bool[Array, "agents actions
 
 def observe(
     scenario: Scenario,
-    observation: Observation,
+    form: Format,
     constants: UnitConstants,
     units: Units,
     last_action: Int[Array, "agents *copies"],
     mask: Bool[Array, "agents actions *copies"],
-) -> tuple[Float[Array, "agents obs *copies"], Float[Array, "state *copies"]]:
-    """Encode the observations and the global state.
+) -> Float[Array, "agents obs *copies"]:
+    """Encode the observations.
 
-    The observation of a dead agent is zero except for its index.
+    That of a dead agent is zero except for its index.
 
     Args:
         scenario: The scenario.
-        observation: Format of both.
+        form: Format of the observations.
         constants: Constants of the units.
         units: All units.
         last_action: Last action of each agent, -1 at reset.
         mask: Legal actions.
-
-    Returns:
-        The observations and the global state.
     """
     agents = len(scenario.allies)
-    acted = jnp.stack([last_action == a for a in range(mask.shape[1])], axis=1)  # (N, actions, ..)
-    state = _global_state(scenario, observation, constants, units, acted)
-
+    acted = _acted(scenario, last_action)
     dx, dy = units.x - units.x[:agents, None], units.y - units.y[:agents, None]
     away = length(dx, dy)  # (agents, units, *copies)
     alive = units.health > 0
@@ -108,7 +107,7 @@ def observe(
         shape = seen[:, part].shape
         features = [first[:, part] if side == "allies" else first, *(p[:, part] for p in place)]
         features += [jnp.broadcast_to(v, shape) for v in vitals]
-        if side == "allies" and observation == "mappo":
+        if side == "allies" and form == "mappo":
             features += [jnp.broadcast_to(acted[:, a], shape) for a in range(acted.shape[1])]
         rows = jnp.stack([jnp.where(seen[:, part], f, 0.0) for f in features], axis=2)
         blocks[side] = _flat(_without_self(rows) if side == "allies" else rows)
@@ -117,24 +116,24 @@ def observe(
     copies = here.shape[2:]
     own = jnp.stack([v[:agents] for v in _vitals(scenario, "allies", constants, units)], axis=1)
     moves = mask[:, FIRST_MOVE:FIRST_ATTACK]
-    if observation == "smac":
+    if form == "smac":
         parts = [moves, blocks["enemies"], blocks["allies"], own * here]
     else:
         at_self = column(np.array([1, 0, 0, 0]), len(copies))  # Visible, distance, dx, dy.
         index = jnp.broadcast_to(column(np.eye(agents), len(copies)), (agents, agents, *copies))
         own = [at_self * here, own * here, acted & here]
         parts = [blocks["allies"], blocks["enemies"], moves, *own, index]
-    return jnp.concatenate([part.astype(jnp.float32) for part in parts], axis=1), state
+    return jnp.concatenate([part.astype(jnp.float32) for part in parts], axis=1)
 
 
-def _global_state(
+def global_state(
     scenario: Scenario,
-    observation: Observation,
+    form: Format,
     constants: UnitConstants,
     units: Units,
-    acted: Bool[Array, "agents actions *copies"],
+    last_action: Int[Array, "agents *copies"],
 ) -> Float[Array, "state *copies"]:
-    """Encode the global state.
+    """Encode the global state, for arguments as in `observe`.
 
     It contains health, cooldown (allies only), centered position, shield and type of every living
     unit, and the last actions. SMAC's format appends the last actions of all agents. The wrapper's
@@ -142,6 +141,7 @@ def _global_state(
     behind those of each enemy.
     """
     agents = len(scenario.allies)
+    acted = _acted(scenario, last_action)
     width, height = scenario.size
     alive = units.health > 0
     x, y = units.x / width - 0.5, units.y / height - 0.5
@@ -151,14 +151,28 @@ def _global_state(
         health, *rest = _vitals(scenario, side, constants, units)
         cooldown = [jnp.maximum(units.ready, 0) / constants.cooldown_scale] * (side == "allies")
         features = [jnp.where(alive, f, 0.0)[part] for f in (health, *cooldown, x, y, *rest)]
-        if observation == "mappo":
+        if form == "mappo":
             blank = jnp.zeros_like(x[part])
             actions = range(acted.shape[1])
             features += [acted[:, a] & alive[part] if side == "allies" else blank for a in actions]
         sides.append(_flat(jnp.stack(features, axis=1)[None])[0])
-    if observation == "smac":
+    if form == "smac":
         sides.append(_flat(acted[None])[0].astype(jnp.float32))
     return jnp.concatenate(sides)
+
+
+def _acted(
+    scenario: Scenario, last_action: Int[Array, "agents *copies"]
+) -> Bool[Array, "agents actions *copies"]:
+    """Return the last actions as one-hot vectors; zeros at reset."""
+    actions = FIRST_ATTACK + len(scenario.enemies)
+    return jnp.stack([last_action == action for action in range(actions)], axis=1)
+
+
+def _vitals_sizes(scenario: Scenario) -> tuple[int, int]:
+    """Return the numbers of features that `_vitals` has of an ally and of an enemy."""
+    others = 1 + len(unit_kinds(scenario))
+    return others + _has_shields(scenario.allies), others + _has_shields(scenario.enemies)
 
 
 def _vitals(scenario: Scenario, side: str, constants: UnitConstants, units: Units) -> list[Array]:

@@ -12,6 +12,7 @@ import pytest
 import envs_jax
 from envs_jax.alice_and_bob import AliceAndBob
 from hmasd_jax.baselines import mappo, mat
+from hmasd_jax.baselines.ippo import IPPOConfig, make_ippo
 from hmasd_jax.baselines.mappo import MAPPOConfig, make_mappo
 from hmasd_jax.baselines.mat import MATConfig, make_mat
 from hmasd_jax.rl import rollout
@@ -147,6 +148,30 @@ def test_no_key_is_used_twice(make, config):
         jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
 
 
+@pytest.mark.parametrize(
+    ("config", "seen"),
+    [
+        (MAPPOConfig(), {"state"}),
+        (MAPPOConfig(critic_input="agent"), {"state", "obs"}),
+        (IPPOConfig(), {"obs"}),
+    ],
+    ids=["mappo", "mappo_agent", "ippo"],
+)
+def test_the_critic_sees_what_its_algorithm_allows(config, seen):
+    timestep = ENV.reset(jax.random.key(0))[1]
+    before = mappo.critic_input(config, timestep)
+    for name in ("state", "obs"):
+        changed = timestep._replace(**{name: getattr(timestep, name) + 1})
+        differs = (mappo.critic_input(config, changed) != before).any()
+        assert differs == (name in seen), name
+
+
+def test_the_critic_of_ippo_has_a_value_per_agent_of_its_own_observation():
+    timestep = ENV.reset(jax.random.key(0))[1]
+    np.testing.assert_array_equal(mappo.critic_input(IPPOConfig(), timestep), timestep.obs)
+    assert mappo.make_parts(ENV, IPPOConfig(ppo=PPO)).num_values == ENV.num_agents
+
+
 SMALL = PPOConfig(
     num_envs=32, rollout_length=10, sequence_length=5, hidden_size=16, num_epochs=5,
     learning_rate=5e-3, discount=0.5,
@@ -160,12 +185,13 @@ SMALL = PPOConfig(
         (make_mappo, MAPPOConfig(), "probe_remember_cue", 1.0),
         # Without a memory; the critic has a value for each agent.
         (make_mappo, MAPPOConfig(recurrent=False, critic_input="agent"), "probe_match_cue", 1.0),
+        (make_ippo, IPPOConfig(), "probe_match_cue", 1.0),
         # Nothing tells the agents apart but the actions of those before them; 4 steps.
         (make_mat, MATConfig(), "probe_different_actions", 4.0),
         # Masks reach the policy; nobody has a choice, so there is nothing to learn from.
         (make_mat, MATConfig(), "probe_legal_action", 1.0),
     ],
-    ids=["mappo", "mappo_feed_forward", "mat", "mat_without_choices"],
+    ids=["mappo", "mappo_feed_forward", "ippo", "mat", "mat_without_choices"],
 )
 def test_probes_are_solved(make, config, probe, lowest):
     env = envs_jax.make(probe)

@@ -84,6 +84,16 @@ def test_compare_with_jaxmarl():
     assert theirs["name"] == "JaxMARL overcooked cramped_room, 2 copies"
 
 
+def test_maser_beside_a_process_that_answers_half_a_second(tmp_path):
+    original = tmp_path / "python"
+    original.write_text("#!/bin/sh\nwhile read line; do echo 0.5; done\n")
+    original.chmod(0o755)
+    theirs, ours = run("maser.py", "--python", str(original), "--checkout", "none")
+    assert (theirs["name"], ours["name"]) == ("original", "hmasd_jax")
+    assert theirs["env_steps_per_cpu_s"] == 60 / 0.5  # steps of the longest battle in 3m
+    assert ours["ratio"] == pytest.approx(ours["env_steps_per_cpu_s"] / 120)
+
+
 def test_page_shows_what_was_recorded(monkeypatch, tmp_path):
     from benchmarks import record_performance
 

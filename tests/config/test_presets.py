@@ -1,6 +1,7 @@
 """Comments in the shipped presets, and the features that their indices stand for."""
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
@@ -10,7 +11,8 @@ import numpy as np
 import pytest
 
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax.config import load, to_json
+from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig
+from hmasd_jax.config import from_json, load, to_json
 from hmasd_jax.config.presets import find_preset
 
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -103,3 +105,58 @@ def test_another_task_has_no_preset():
     table = to_json(load(None, {"env.name": "micro_battle", "env.scenario": "3m"}))
     assert find_preset(table | {"env": table["env"] | {"scenario": "mine"}}) is None
     assert find_preset(table | {"algorithm": {"name": "mine"}}) is None
+
+
+@pytest.mark.parametrize("name", ["hmasd", "mappo", "mat"])
+@pytest.mark.parametrize(
+    ("scenario", "sizes"), [("3m", (64, 48)), ("2s_vs_1sc", (37, 27)), ("2m_vs_1z", (36, 26))]
+)
+def test_the_papers_battles_have_the_sizes_of_the_authors_code(name, scenario, sizes):
+    env = load(CONFIGS / f"micro_battle/{scenario}/{name}.toml").env
+    assert (env.obs_dim, env.state_dim) == sizes
+
+
+def test_battles_recorded_before_the_state_had_its_own_format_keep_theirs():
+    files = (CONFIGS.parent / "results/micro_battle").rglob("*.json")
+    results = [json.loads(path.read_text()) for path in files]
+    tables = [result["config"]["env"] for result in results if "config" in result]
+    tables = [table for table in tables if "state" not in table]
+    assert tables
+    for table in tables:
+        env = from_json({"env": table}).env
+        assert env.state_dim == {"3m": 75, "2s_vs_1sc": 34, "2m_vs_1z": 33}[env.scenario]
+
+
+PYMARL = ("maser", "qmix", "vdn")
+OWN_TO_A_TASK = {"rollout_length", "gradient_steps"}
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/maser.toml")), ids=lambda path: path.parent.name
+)
+def test_presets_with_replay_mark_what_is_not_pymarls(path):
+    configs = [load(path.with_name(f"{name}.toml")) for name in PYMARL]
+    assert len({config.algorithm.q_learning for config in configs}) == 1
+    assert len({config.env for config in configs}) == 1
+    settings = dataclasses.asdict(configs[0].algorithm.q_learning)
+    pymarls = dataclasses.asdict(QLearningConfig(num_envs=1))
+    changed = {name for name, value in settings.items() if value != pymarls[name]}
+    marked = re.findall(r"^(\w+) = .*  # not ", path.read_text(), re.MULTILINE)
+    assert set(marked) - OWN_TO_A_TASK == changed - OWN_TO_A_TASK
+    assert configs[0].algorithm == MASERConfig(q_learning=configs[0].algorithm.q_learning)
+    assert settings["rollout_length"] == configs[0].env.max_steps
+
+
+def test_all_algorithms_have_a_preset_for_every_task_and_the_same_budget():
+    papers = sorted(CONFIGS.glob("**/hmasd.toml"))
+    assert len(papers) == 7
+    for path in papers:
+        for name in ("mappo", "ippo", "mat", *PYMARL):
+            config, of_paper = load(path.with_name(f"{name}.toml")), load(path)
+            assert config.total_env_steps == of_paper.total_env_steps
+            assert config.eval_interval == of_paper.eval_interval
+            assert config.eval_episodes == of_paper.eval_episodes
+            tables = [dataclasses.asdict(c.env) for c in (config, of_paper)]
+            for table in tables:
+                table.pop("observation"), table.pop("state", None)
+            assert tables[0] == tables[1]

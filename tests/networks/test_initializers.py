@@ -1,4 +1,4 @@
-"""Orthogonal weights, alone and for several seeds at once."""
+"""Orthogonal weights, alone and for several seeds at once, and uniform ones."""
 
 import re
 
@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 
 import envs_jax
 from hmasd_jax.algorithms import ALGORITHMS
-from hmasd_jax.networks.initializers import orthogonal
+from hmasd_jax.networks.initializers import orthogonal, uniform
 
 KEYS = jax.random.split(jax.random.key(0), 3)
 
@@ -26,6 +26,13 @@ def test_weights_are_flax_own_also_for_several_seeds():
         return jax.vmap(lambda key: initializer(key, (8, 5), jnp.float32))(KEYS)
 
     chex.assert_trees_all_close(draw(orthogonal(2.0)), draw(nn.initializers.orthogonal(2.0)))
+
+
+def test_uniform_weights_are_as_wide_as_pytorchs():
+    weights = uniform(16)(KEYS[0], (16, 1000), jnp.float32)
+    assert 0.249 < abs(weights).max() <= 0.25  # 1 / sqrt(16)
+    assert_allclose(weights.mean(), 0.0, atol=0.005)
+    assert_allclose(weights.std(), 0.5 / 12**0.5, rtol=0.02)
 
 
 @pytest.mark.parametrize("name", ["hmasd", "mappo", "mat"])

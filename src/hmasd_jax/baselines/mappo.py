@@ -44,9 +44,9 @@ class MAPPOConfig:
     """Weight of the policy's entropy."""
     recurrent: bool = True
     """If True, actor and critic have a memory (on-policy's `rmappo`), else none (`mappo`)."""
-    critic_input: Literal["state", "agent"] = "state"
+    critic_input: Literal["state", "agent", "obs"] = "state"
     """Input of the critic: the global `state`, for one value of all agents, or, for a value per
-    `agent`, the state, the agent's observation and its index."""
+    `agent`, the state, the agent's observation and its index, or `obs`, its observation alone."""
     death_masking: bool = True
     """If True, with `critic_input` "agent", the critic sees only the index of an agent that has no
     choice of actions, such as the dead."""
@@ -170,6 +170,8 @@ def critic_input(config: MAPPOConfig, timestep: TimeStep) -> Float[Array, "*batc
     state, obs = timestep.state[..., None, :], timestep.obs
     if config.critic_input == "state":
         return state
+    if config.critic_input == "obs":
+        return obs
     state = jnp.broadcast_to(state, (*obs.shape[:-1], state.shape[-1]))
     seen = jnp.concatenate([state, obs], axis=-1)
     if config.death_masking:

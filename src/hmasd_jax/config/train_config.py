@@ -76,9 +76,10 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
         check_range(self, "seed", low=0, high=2**32 - 1)
         per_update = self.env_steps_per_update
         if self.total_env_steps < per_update:
+            part = f"algorithm.{_rollout_part(self.algorithm)}"
             raise ValueError(
                 f"total_env_steps {self.total_env_steps} is less than one update takes "
-                f"({per_update} = algorithm.ppo.num_envs x algorithm.ppo.rollout_length): "
+                f"({per_update} = {part}.num_envs x {part}.rollout_length): "
                 "raise it or lower those"
             )
         if self.total_env_steps // per_update > LARGEST:
@@ -91,8 +92,14 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     @property
     def env_steps_per_update(self) -> int:
         """Environment steps per update: one rollout of all environment copies."""
-        ppo = self.algorithm.ppo  # pyrefly: ignore
-        return ppo.num_envs * ppo.rollout_length
+        part = getattr(self.algorithm, _rollout_part(self.algorithm))
+        return part.num_envs * part.rollout_length
+
+
+def _rollout_part(algorithm: Any) -> str:
+    """Return the name of the settings that say how long a rollout is, e.g. `ppo`."""
+    names = [field.name for field in dataclasses.fields(algorithm)]
+    return next(name for name in names if hasattr(getattr(algorithm, name), "rollout_length"))
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:

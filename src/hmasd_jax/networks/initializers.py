@@ -26,3 +26,13 @@ def orthogonal(gain: float) -> nn.initializers.Initializer:
         return jax.custom_batching.sequential_vmap(lambda key: draw(key, shape, dtype))(key)
 
     return init
+
+
+def uniform(fan_in: int) -> nn.initializers.Initializer:
+    """Build PyTorch's default for weights and biases: uniform in +-1 / sqrt(fan_in)."""
+
+    def init(key: Key, shape: Sequence[int], dtype: DTypeLike = jnp.float32) -> Float[Array, "..."]:
+        bound = fan_in**-0.5
+        return jax.random.uniform(key, shape, dtype, -bound, bound)
+
+    return init

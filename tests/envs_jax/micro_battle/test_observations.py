@@ -27,8 +27,13 @@ ONE_HOT = np.eye(7).tolist()
     ],
 )
 def test_sizes_are_smacs(scenario, mappo, smac, actions, limit):
-    for observation, sizes in (("mappo", mappo), ("smac", smac)):
-        env = MicroBattle(scenario, observation=observation)
+    for observation, state, sizes in (
+        ("mappo", None, mappo),  # The state has the format of the observations.
+        ("smac", None, smac),
+        ("mappo", "smac", (mappo[0], smac[1])),  # As HMASD's authors.
+        ("smac", "mappo", (smac[0], mappo[1])),
+    ):
+        env = MicroBattle(scenario, observation=observation, state=state)
         assert (env.obs_dim, env.state_dim) == sizes
         assert (env.num_actions, env.max_steps) == (actions, limit)
         at_reset = jax.eval_shape(env.reset, jax.random.key(0))[1]
@@ -36,20 +41,22 @@ def test_sizes_are_smacs(scenario, mappo, smac, actions, limit):
         assert at_reset.state.shape == (sizes[1],)
 
 
-def seen(observation, **fields):
+def seen(observation, state=None, **fields):
     """Return a time step with two marines and a zealot at (10, 10), (14, 13) and (13, 14).
 
     Both other units are 5 cells away from the first marine.
     """
-    env = MicroBattle("2m_vs_1z", observation=observation)
-    state, _ = env.reset(jax.random.key(0))
+    env = MicroBattle("2m_vs_1z", observation=observation, state=state)
+    env_state, _ = env.reset(jax.random.key(0))
     values = {
         "x": [10, 14, 13], "y": [10, 13, 14], "health": [30, 45, 50],
         "shield": [0, 0, 25], "ready": [9, 0, 7], **fields,
     }  # fmt: skip
-    units = state.units._replace(**{k: jnp.array(v, jnp.float32) for k, v in values.items()})
-    state = state._replace(units=units, last_action=jnp.array([6, 1]))
-    return env._timestep(state, jnp.bool(False))
+    values = {k: jnp.array(v, jnp.float32) for k, v in values.items()}
+    env_state = env_state._replace(
+        units=env_state.units._replace(**values), last_action=jnp.array([6, 1])
+    )
+    return env._timestep(env_state, jnp.bool(False))
 
 
 def test_format_of_the_wrapper_by_hand():
@@ -75,6 +82,12 @@ def test_format_of_smac_by_hand():
     state = [2 / 3, 9 / 15, -6 / 32, -6 / 32, 1, 0, -2 / 32, -3 / 32]
     state += [0.5, -3 / 32, -2 / 32, 0.5, *ONE_HOT[6], *ONE_HOT[1]]
     np.testing.assert_allclose(timestep.state, state, atol=1e-6)
+
+
+def test_each_half_of_a_mixed_format_is_that_of_the_pure_format():
+    mappo, smac, mixed = seen("mappo"), seen("smac"), seen("mappo", "smac")
+    np.testing.assert_array_equal(mixed.obs, mappo.obs)
+    np.testing.assert_array_equal(mixed.state, smac.state)
 
 
 def test_the_dead_see_nothing_and_are_not_seen():
@@ -196,6 +209,7 @@ def test_invalid_scenarios_are_refused(fields, message):
         ),
         ({"balance": "wol"}, "balance must be multi or liberty, got 'wol'"),
         ({"observation": "raw"}, "observation must be mappo or smac, got 'raw'"),
+        ({"state": "raw"}, "state must be mappo or smac, got 'raw'"),
         ({"time_limit": 0}, "time_limit must be at least 1, got 0"),
     ],
 )
@@ -209,7 +223,7 @@ def test_invalid_settings_are_refused(fields, message):
     "scenario", ["2s_vs_1sc", "2m_vs_1z", SMALL], ids=lambda s: s if isinstance(s, str) else "own"
 )
 def test_scenarios_pass_the_check(scenario):
-    envs_jax.check_environment(MicroBattle(scenario, "liberty", "smac", time_limit=40))
+    envs_jax.check_environment(MicroBattle(scenario, "liberty", "mappo", "smac", time_limit=40))
 
 
 @pytest.mark.parametrize("name", sorted(SCENARIOS))

@@ -1,0 +1,1 @@
+"""Value factorization with replay: VDN, QMIX and MASER, from the same pieces."""
