@@ -19,7 +19,7 @@ from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.rl.sgd import sgd_epochs
-from hmasd_jax.types import Key, Learner, Metrics
+from hmasd_jax.types import Key, Learner
 from hmasd_jax.validation import check_range
 
 CLIP = 5.0
