@@ -24,6 +24,7 @@ Observation = Literal["codes", "one_hot"]
 
 SIZE = 8  # Interior cells per side.
 CELLS = SIZE * SIZE
+SCALE = 32  # Pixels per cell of the picture.
 MOVES = np.array([(0, 1), (0, -1), (-1, 0), (1, 0), (0, 0)])  # Right, left, up, down, stay.
 BUTTONS = np.array([(1, 8), (1, 1)])  # Red, blue.
 DIAMONDS = np.array([(8, 1), (8, 8)])  # Red, blue.
@@ -86,7 +87,9 @@ class AliceAndBob:
     num_agents: ClassVar[int] = 2
     num_actions: ClassVar[int] = len(MOVES)
     agent_names: ClassVar[tuple[str, ...]] = ("Alice", "Bob")
+    action_names: ClassVar[tuple[str, ...]] = ("right", "left", "up", "down", "stay")
     agent_colors: ClassVar[tuple] = (COLORS["alice"], COLORS["bob"])
+    cell_pixels: ClassVar[int] = SCALE
 
     def __post_init__(self) -> None:
         check_whole("max_steps", self.max_steps)
@@ -141,9 +144,28 @@ class AliceAndBob:
             },
         )
 
+    def events(
+        self, before: AliceAndBobState, action: Int[Array, " agents"], after: AliceAndBobState
+    ) -> dict[str, Float[Array, " agents"]]:
+        """Count diamonds by the agent that stands on them, and buttons by their color."""
+        del action
+        counts = {}
+        collected = after.collected & ~before.collected
+        for index, color in enumerate(("red", "blue")):
+            on_diamond = (after.position == DIAMONDS[index]).all(-1)
+            on_button = (after.position == BUTTONS[index]).all(-1)
+            was_there = (before.position == BUTTONS[index]).all(-1)
+            counts[f"{color} diamond collected"] = on_diamond & collected[index]
+            counts[f"{color} button pressed"] = on_button & ~was_there
+        return {name: count.astype(jnp.float32) for name, count in counts.items()}
+
+    def locate(self, env_state: AliceAndBobState) -> Float[Array, "agents 2"]:
+        """Return the center of each agent's cell in the picture."""
+        return (env_state.position[:, ::-1] + 0.5) * SCALE
+
     def render(self, env_state: AliceAndBobState) -> np.ndarray:
         """Draw the board, with buttons as squares, diamonds as rhombi and agents as discs."""
-        scale = 32
+        scale = SCALE
         board = np.array(BOARD)
         cells = np.where((board == WALL)[..., None], COLORS["wall"], COLORS["floor"])
         image = cells.repeat(scale, 0).repeat(scale, 1).astype(np.uint8)

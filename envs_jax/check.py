@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
+from envs_jax.declared import count_events, describe_agents, locate_agents, name_actions
 from envs_jax.types import Environment, EnvState, TimeStep
 
 NUM_EPISODES = 16
@@ -42,6 +43,7 @@ def check_environment(
     _check_transforms(env, key_transforms)
     _check_episodes(env, key_play, env.max_steps if num_steps is None else num_steps)
     _check_render(env, key_render)
+    _check_declarations(env, key_render)
 
 
 def _require(met: Any, env: Environment, requirement: str, found: Any) -> None:
@@ -254,3 +256,27 @@ def _check_render(env: Environment, key: jax.Array) -> None:
     if isinstance(image, np.ndarray):
         found = f"{image.dtype} {image.shape}"
     _require(is_image, env, "render must return a NumPy uint8 image (height, width, 3)", found)
+
+
+def _check_declarations(env: Environment, key: jax.Array) -> None:
+    """Check the names, events and places that the environment declares, if any."""
+    agents = env.num_agents
+    names = [name for name, _ in describe_agents(env)]
+    _require(len(names) == agents, env, f"agent_names must have {agents} names", names)
+    names = name_actions(env)
+    requirement = f"action_names must have {env.num_actions} names"
+    _require(len(names) == env.num_actions, env, requirement, names)
+
+    def first_step(key: jax.Array) -> tuple[dict[str, Array], Array | None]:
+        env_state, timestep = env.reset(key)
+        action = _random_action(key, timestep.action_mask)
+        after, _ = env.step(key, env_state, action)
+        return count_events(env, env_state, action, after), locate_agents(env, after)
+
+    counts, places = jax.eval_shape(first_step, key)
+    for name, count in counts.items():
+        requirement = f"events must count {name!r} by agent, with shape ({agents},)"
+        _require(count.shape == (agents,), env, requirement, count.shape)
+    if places is not None:
+        requirement = f"locate must return x and y by agent, with shape ({agents}, 2)"
+        _require(places.shape == (agents, 2), env, requirement, places.shape)

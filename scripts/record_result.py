@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 
 from hmasd_jax.analysis.curves import Reference, plot_result, recorded_curves
 from hmasd_jax.analysis.figures import draw_groups
+from hmasd_jax.analysis.learning import LAST, main_metric
 from hmasd_jax.analysis.statistics import last_evaluations, summarize
-from hmasd_jax.cli.summary import LAST, main_metric
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs import metrics_log
 from scripts.records import RESULTS, ROOT

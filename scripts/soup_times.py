@@ -14,7 +14,7 @@ import jax
 import numpy as np
 
 from envs_jax.overcooked.rules import SOUP
-from hmasd_jax.analysis.render import play
+from hmasd_jax.analysis.episodes import play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
 from scripts.records import describe_script, write_rows
@@ -28,7 +28,7 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
     trained = load_run(run, seed)
     policy = trained.algorithm.policy(trained.state, True)
     keys = jax.random.split(jax.random.key(0), GAMES)
-    states, timesteps, _ = jax.device_get(play(trained.env, policy, keys))
+    states, timesteps, *_ = jax.device_get(play(trained.env, policy, keys))
     games = {}
     for player in (0, 1):
         game = int(np.flatnonzero(states.swapped[:, 0] == bool(player))[0])

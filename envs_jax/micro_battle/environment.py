@@ -6,10 +6,10 @@ actions, masks and observations follow SMAC and StarCraft II's data files. The g
 run. docs/environments/micro_battle.md states what is modeled and what is not.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.choices import check_choice, check_whole, show, suggest
 from envs_jax.micro_battle.constants import column, unit_constants
+from envs_jax.micro_battle.events import count
 from envs_jax.micro_battle.observations import (
     DIRECTIONS,
     FIRST_ATTACK,
@@ -31,7 +32,7 @@ from envs_jax.micro_battle.observations import (
     state_size,
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
-from envs_jax.micro_battle.render import ALLIES, draw
+from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw, surround
 from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario
 from envs_jax.micro_battle.unit_types import Balance
 from envs_jax.types import TimeStep
@@ -79,6 +80,8 @@ class MicroBattle:
     combine observations of `mappo` with the state of `smac`."""
     time_limit: int | None = None
     """Time limit of an episode in environment steps; None takes that of the scenario."""
+
+    cell_pixels: ClassVar[int] = CELL
 
     def __post_init__(self) -> None:
         known = isinstance(self.scenario, str) and self.scenario in SCENARIOS
@@ -254,9 +257,35 @@ class MicroBattle:
             },
         )
 
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        names = ("no-op", "stop", "north", "south", "east", "west")
+        enemies = enumerate(self.resolved_scenario.enemies)
+        return names + tuple(f"attack {spawn.unit} {i + 1}" for i, spawn in enemies)
+
+    def events(
+        self, before: MicroBattleState, action: Int[Array, " agents"], after: MicroBattleState
+    ) -> dict[str, Float[Array, " agents"]]:
+        """Count attacks begun, kills, damage and deaths; see `events.count`."""
+        del action
+        return count(before.units, after.units, self.num_agents, TICKS_PER_STEP)
+
+    def locate(self, env_state: MicroBattleState) -> Float[Array, "agents 2"]:
+        """Return the place of each living agent in the picture."""
+        left, _, _, top = bounds(self.resolved_scenario.floor)
+        units = jax.tree.map(lambda x: x[: self.num_agents], env_state.units)
+        place = jnp.stack([units.x - left, top - units.y], axis=-1) * CELL
+        return jnp.where(units.health[:, None] > 0, place, jnp.nan)
+
     def render(self, env_state: MicroBattleState) -> np.ndarray:
         """Draw the map, the units and their shots; see `render.draw`."""
         return draw(self.resolved_scenario, env_state)
+
+    def render_episode(self, env_states: Sequence[MicroBattleState]) -> list[np.ndarray]:
+        """Draw the part of the map where units are in any of the states."""
+        box = surround(self.resolved_scenario, env_states)
+        return [draw(self.resolved_scenario, state, box) for state in env_states]
 
 
 @lru_cache  # Calls without jit reuse the compiled function.

@@ -1,6 +1,8 @@
 """Pictures of `micro_battle`, drawn with NumPy at twice the size and averaged for smooth edges."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -14,6 +16,8 @@ SMOOTH = 2
 """Pixels drawn per pixel shown, along each axis."""
 MARGIN = 1.0
 """Cells of wall shown around the floor."""
+AROUND = 2.0
+"""Cells shown around the units of an episode."""
 
 FLOOR, LINE, WALL, EDGE = (238, 235, 226), (224, 220, 208), (66, 71, 84), (46, 50, 60)
 INK, PAPER = (28, 30, 34), (255, 255, 255)
@@ -24,18 +28,38 @@ SHOT, HOSTILE_SHOT = (30, 120, 220), (220, 60, 50)
 HEALTH, SHIELD, LOST = (70, 180, 80), (80, 160, 235), (120, 120, 120)
 
 
+Box = tuple[float, float, float, float]
+"""Part of the map: left, bottom, right and top, in cells."""
+
+
+def bounds(floor: tuple) -> Box:
+    """Return the part of the map that the picture shows."""
+    left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
+    bottom = min(r[1] for r in floor) - MARGIN
+    return left, bottom, max(r[2] for r in floor) + MARGIN, max(r[3] for r in floor) + MARGIN
+
+
+def surround(scenario: Scenario, env_states: Sequence) -> Box:
+    """Return the part of the map in which units live in any of the states, with a margin."""
+    units = [env_state.units for env_state in env_states]
+    x, y, health = (np.array([getattr(u, n) for u in units]) for n in ("x", "y", "health"))
+    x, y = x[health > 0], y[health > 0]
+    near = (x.min() - AROUND, y.min() - AROUND, x.max() + AROUND, y.max() + AROUND)
+    whole = bounds(scenario.floor)
+    low = [max(math.floor(a), b) for a, b in zip(near[:2], whole[:2])]
+    high = [min(math.ceil(a), b) for a, b in zip(near[2:], whole[2:])]
+    return (low[0], low[1], high[0], high[1])
+
+
 class Canvas:
     """Image in the coordinates of the scenario, with y upwards."""
 
-    def __init__(self, floor: tuple) -> None:
-        self.left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
-        self.bottom = min(r[1] for r in floor) - MARGIN
-        width = max(r[2] for r in floor) + MARGIN - self.left
-        self.height = max(r[3] for r in floor) + MARGIN - self.bottom
+    def __init__(self, box: Box) -> None:
+        left, bottom, right, top = box
         scale = CELL * SMOOTH
-        rows, cols = round(self.height * scale), round(width * scale)
-        self.y = (self.bottom + self.height - (np.arange(rows) + 0.5) / scale)[:, None]
-        self.x = (self.left + (np.arange(cols) + 0.5) / scale)[None]
+        rows, cols = round((top - bottom) * scale), round((right - left) * scale)
+        self.y = (top - (np.arange(rows) + 0.5) / scale)[:, None]
+        self.x = (left + (np.arange(cols) + 0.5) / scale)[None]
         self.pixels = np.full((rows, cols, 3), WALL, np.float32)
 
     def paint(self, inside: Callable, color: tuple, box: tuple, opacity: float = 1.0) -> None:
@@ -92,7 +116,7 @@ class Canvas:
         return np.round(mean).astype(np.uint8)
 
 
-def draw(scenario: Scenario, env_state) -> np.ndarray:
+def draw(scenario: Scenario, env_state, box: Box | None = None) -> np.ndarray:
     """Draw the map, the living units with health and shields, and the shots of the last step.
 
     Each agent has its own color, enemies are red. Marines are discs, zealots triangles with blades,
@@ -102,13 +126,15 @@ def draw(scenario: Scenario, env_state) -> np.ndarray:
     Args:
         scenario: The scenario.
         env_state: Unbatched `MicroBattleState`.
+        box: Part of the map to draw; None draws all of it.
 
     Returns:
         Image, uint8 (height, width, 3).
     """
     units = Units(*map(np.asarray, env_state.units))  # pyrefly: ignore
-    canvas = Canvas(scenario.floor)
-    _draw_floor(canvas, scenario)
+    box = bounds(scenario.floor) if box is None else box
+    canvas = Canvas(box)
+    canvas.pixels = _draw_floor(scenario, box).copy()
     spawns = (*scenario.allies, *scenario.enemies)
     num_allies = len(scenario.allies)
     alive = units.health > 0
@@ -126,7 +152,10 @@ def draw(scenario: Scenario, env_state) -> np.ndarray:
     return canvas.image()
 
 
-def _draw_floor(canvas: Canvas, scenario: Scenario) -> None:
+@lru_cache(maxsize=4)
+def _draw_floor(scenario: Scenario, box: Box) -> np.ndarray:
+    """Return the pixels of the empty map."""
+    canvas = Canvas(box)
     everywhere = (-np.inf, -np.inf, np.inf, np.inf)
     rim = 0.12
     grown = tuple((a - rim, b - rim, c + rim, d + rim) for a, b, c, d in scenario.floor)
@@ -138,6 +167,7 @@ def _draw_floor(canvas: Canvas, scenario: Scenario) -> None:
         return is_floor(scenario.floor, x, y) & ((x % 2 < line) | (y % 2 < line))
 
     canvas.paint(grid, LINE, everywhere)
+    return canvas.pixels
 
 
 def _draw_unit(canvas: Canvas, name: str, units: Units, index: int, num_allies: int) -> None:

@@ -18,8 +18,15 @@ from jaxtyping import Array, Bool, Float, Int
 from envs_jax.choices import check_choice, check_whole, show
 from envs_jax.overcooked import features, layouts, lossless
 from envs_jax.overcooked.layouts import Kitchen
-from envs_jax.overcooked.render import COOKS, draw
-from envs_jax.overcooked.rules import NOTHING, NUM_ITEMS, StartCooking, cook, use_table
+from envs_jax.overcooked.render import COOKS, SIDE, draw
+from envs_jax.overcooked.rules import (
+    NOTHING,
+    NUM_ITEMS,
+    StartCooking,
+    cook,
+    count_uses,
+    use_table,
+)
 from envs_jax.types import TimeStep
 
 Observation = Literal["features", "lossless"]
@@ -81,6 +88,10 @@ class Overcooked:
     num_agents: ClassVar[int] = 2
     num_actions: ClassVar[int] = 6
     agent_colors: ClassVar[tuple] = COOKS
+    cell_pixels: ClassVar[int] = SIDE
+    action_names: ClassVar[tuple[str, ...]] = (
+        "north", "south", "east", "west", "stay", "interact",
+    )  # fmt: skip
 
     def __post_init__(self) -> None:
         if not isinstance(self.layout, str):
@@ -193,6 +204,25 @@ class Overcooked:
             truncated=state.time >= self.max_steps,
             info={"soups": state.soups.astype(jnp.float32)},
         )
+
+    def events(
+        self, before: OvercookedState, action: Int[Array, " agents"], after: OvercookedState
+    ) -> dict[str, Float[Array, " agents"]]:
+        """Count what each agent took, put down, cooked and served."""
+        swapped = before.swapped
+        by_player = jnp.where(swapped, action[::-1], action)
+        front = jnp.asarray(self.kitchen.front)[before.pose]
+        interacts = by_player == INTERACT
+        counts = count_uses(before.grid[front], after.grid[front], before.held, after.held)
+        counts = {name: (count & interacts).astype(jnp.float32) for name, count in counts.items()}
+        return {name: jnp.where(swapped, count[::-1], count) for name, count in counts.items()}
+
+    def locate(self, env_state: OvercookedState) -> Float[Array, "agents 2"]:
+        """Return the center of each agent's cell in the picture."""
+        cell = env_state.pose // 4
+        cell = jnp.where(env_state.swapped, cell[::-1], cell)
+        width = self.kitchen.width
+        return (jnp.stack([cell % width, cell // width], axis=-1) + 0.5) * SIDE
 
     def render(self, env_state: OvercookedState) -> np.ndarray:
         """Draw the kitchen, with agent 0 in blue and agent 1 in red on either seat."""

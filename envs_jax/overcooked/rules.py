@@ -10,7 +10,7 @@ from typing import Literal
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Bool, Int
 
 StartCooking = Literal["interact", "auto"]
 
@@ -62,6 +62,37 @@ def use_table(start: StartCooking) -> np.ndarray:
             after, held, rewarded = _use(cell, item, start)
             table[cell, item] = after << 4 | held << 1 | rewarded
     return table.ravel()
+
+
+def count_uses(
+    cell_before: Int[Array, " players"],
+    cell_after: Int[Array, " players"],
+    item_before: Int[Array, " players"],
+    item_after: Int[Array, " players"],
+) -> dict[str, Bool[Array, " players"]]:
+    """Tell what each player did with the cell that it faces, given that it interacts.
+
+    Args:
+        cell_before: State of the cell before the step.
+        cell_after: State of the cell after the step.
+        item_before: Item in the hand before the step.
+        item_after: Item in the hand after the step.
+    """
+    takes = (item_before == NOTHING) & (item_after != NOTHING)
+    puts = (item_before != NOTHING) & (item_after == NOTHING)
+    at_pot = cell_before >= POT
+    at_counter = (cell_before >= COUNTER) & (cell_before < POT)
+    starts = at_pot & (cell_before < COOKING) & (cell_after >= COOKING)
+    return {
+        "onion taken": takes & (cell_before == ONIONS),
+        "onion put into a pot": puts & at_pot,
+        "pot started": starts & (item_before == NOTHING),
+        "dish taken": takes & (cell_before == DISHES),
+        "soup taken from a pot": (item_before == DISH) & (item_after > SOUP),
+        "soup served": puts & (cell_before == SERVING) & (item_before == SOUP + CAPACITY),
+        "item put on a counter": puts & at_counter,
+        "item taken from a counter": takes & at_counter,
+    }
 
 
 def _use(cell: int, item: int, start: StartCooking) -> tuple[int, int, bool]:

@@ -27,7 +27,10 @@ def test_prints_statistics_and_draws(runs, tmp_path, capsys):
     out = tmp_path / "plots" / "comparison.png"
     words = ["compare", *map(str, runs), "--out", str(out), "--last", "1", "--solved-at", "0.7"]
     assert main(words) == 0
-    text = capsys.readouterr().out
+    output = capsys.readouterr()
+    text = output.out
+    assert "Statistics over 2 seeds say little" in text
+    assert f"next: python -m hmasd_jax.train report {runs[0]} {runs[1]}" in output.err
     # At 200: 1 and 0.75 against 0.5 and 0.25. Every seed of the first is better than any of the
     # second, in whatever bootstrap sample; two of two seeds are above 0.7, and none.
     assert "0.875 [0.750, 1.000]" in text
@@ -41,8 +44,8 @@ def test_prints_statistics_and_draws(runs, tmp_path, capsys):
 
 def test_one_run_alone_has_no_pairs(runs, tmp_path, capsys):
     assert main(["compare", str(runs[1]), "--out", str(tmp_path / "x.png")]) == 2
-    assert "have 4 evaluations of success in common" in capsys.readouterr().err
-    assert main(["compare", str(runs[1]), "--last", "4", "--out", str(tmp_path / "x.png")]) == 0
+    assert "have 3 evaluations of success after step 0 in common" in capsys.readouterr().err
+    assert main(["compare", str(runs[1]), "--last", "3", "--out", str(tmp_path / "x.png")]) == 0
     assert "Probability" not in capsys.readouterr().out
 
 

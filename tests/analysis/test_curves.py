@@ -7,6 +7,7 @@ import pytest
 
 from envs_jax import MissingPackageError
 from hmasd_jax.analysis import curves as plot
+from hmasd_jax.analysis import figures
 from hmasd_jax.runs.folder import RunError
 from tests.helpers.runs import write_run
 
@@ -54,7 +55,7 @@ def test_mean_and_band(run):
 
     axes = Figure().add_subplot()
     curves = [(np.arange(2.0), np.array([0.0, 1.0])), (np.arange(2.0), np.array([0.5, 1.0]))]
-    plot.draw_curves(axes, curves, "name", "#000000")
+    plot.draw_curves(axes, curves, "name", "#000000", show_seeds=True)
     *seeds, mean = axes.lines
     assert len(seeds) == 2
     np.testing.assert_array_equal(mean.get_ydata(), [0.25, 1.0])
@@ -115,3 +116,49 @@ def test_missing_package_names_the_command(run, tmp_path, monkeypatch):
         "plotting needs the package matplotlib: pip install 'hmasd-jax[plots]'"
     )
     assert isinstance(error.value, MissingPackageError)
+
+
+def test_seeds_are_not_drawn_unless_asked_for():
+    from matplotlib.figure import Figure
+
+    axes = Figure().add_subplot()
+    curves = [(np.arange(2.0), np.array([0.0, 1.0]))] * 3
+    assert plot.draw_curves(axes, curves, "name", "#000000") == (1.0, 1.0)
+    assert len(axes.lines) == 1
+
+
+def test_more_than_five_curves_get_more_panels_with_labels_at_their_ends(tmp_path, monkeypatch):
+    kept = []
+    monkeypatch.setattr(figures, "save", lambda figure, out: kept.append(figure) or out)
+    flat = [(np.arange(30.0), np.zeros(30))] * 2
+    groups = [(f"run {i}", flat) for i in range(6)]
+    figures.draw_groups(groups, "task", "success", tmp_path / "x.png")
+    panels = kept[0].axes
+    assert [len(axes.lines) for axes in panels] == [3, 3]
+    for axes in panels:
+        styles = {(str(line.get_linestyle()), line.get_marker()) for line in axes.lines}
+        assert len(styles) == 3  # Curves that coincide are told apart.
+        assert len({line.get_markevery() for line in axes.lines}) == 3
+        heights = sorted(text.xyann[1] for text in axes.texts)
+        assert min(np.diff(heights)) > 0.07
+    labels = [text.get_text() for axes in panels for text in axes.texts]
+    assert labels == [f"run {i}" for i in range(6)]
+    assert "95 % bootstrap interval" in panels[-1].get_xlabel()
+
+
+def test_labels_stay_within_the_axes():
+    places = figures._spread(np.array([0.1, 0.98, 0.99, 1.0]), gap=0.1)
+    np.testing.assert_allclose(places, [0.1, 0.8, 0.9, 1.0])
+
+
+@pytest.mark.parametrize("suffix", [".pdf", ".svg"])
+def test_vector_figures_keep_their_text_and_come_with_numbers(run, tmp_path, suffix):
+    out = tmp_path / "plots" / f"curves{suffix}"
+    assert plot.plot_runs([run], out) == out
+    data = out.read_bytes()
+    assert b"environment steps" in data if suffix == ".svg" else data.startswith(b"%PDF")
+    assert b"/Type3" not in data
+    lines = out.with_suffix(".csv").read_text().splitlines()
+    assert lines[0] == "label,seed,env_steps,success"
+    assert lines[4] == "hmasd (2 seeds),0,300,1.0"
+    assert len(lines) == 1 + 4 + 3

@@ -1,56 +1,22 @@
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import imageio.v3 as iio
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from envs_jax.alice_and_bob import COLORS, AliceAndBob
+from envs_jax.declared import describe_agents
+from hmasd_jax.analysis import episodes, render, skill_maps
 from hmasd_jax.analysis import frames as drawing
-from hmasd_jax.analysis import render, skill_maps
-from hmasd_jax.config import TrainConfig
-from hmasd_jax.hmasd import HMASDConfig
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs.folder import RunError
-from hmasd_jax.runs.load import TrainedRun
-from hmasd_jax.types import Algorithm, Policy
-
-LEFT, UP, DOWN, RIGHT = 1, 2, 3, 0
-CORNERS = np.array([(UP, LEFT), (UP, RIGHT), (DOWN, LEFT), (DOWN, RIGHT)])
-"""Moves by which skill z reaches its corner: blue button, red button, red and blue diamond."""
-TEAMS = np.array([(1, 2), (0, 3)])
-"""Skills of Alice and Bob under Z = 0 (the red diamond) and Z = 1 (the blue one)."""
-
-
-class Memory(NamedTuple):
-    time: jax.Array
-    skills: jax.Array
-
-
-def scripted_policy(state, greedy=True, skills=None) -> Policy:
-    """Skills that walk to a corner; Z changes every 20 steps, so that both diamonds are got."""
-    held = [-1 if skill is None else skill for skill in skills or (None, None, None)]
-
-    def step(memory, timestep, first, key):
-        time = jnp.where(first, 0, memory.time)
-        team_skill = time // 20 % 2
-        chosen = jnp.stack([team_skill, *jnp.asarray(TEAMS)[team_skill]])
-        if held[0] >= 0:
-            chosen = jnp.stack([jnp.int32(held[0]), *jnp.asarray(TEAMS)[held[0]]])
-        chosen = jnp.where(jnp.array(held) >= 0, jnp.array(held), chosen)
-        action = jnp.asarray(CORNERS)[chosen[1:], time % 2]
-        return Memory(time + 1, chosen), action, chosen
-
-    return Policy(lambda batch_shape: Memory(jnp.int32(0), jnp.zeros(3, int)), step)
+from tests.helpers.scripted import TEAMS, scripted_policy, scripted_run
 
 
 @pytest.fixture(scope="module")
 def trained():
-    config = TrainConfig(env=AliceAndBob(), algorithm=HMASDConfig(skill_interval=20))
-    algorithm = Algorithm(lambda key: None, lambda state: (state, {}), scripted_policy)
-    return TrainedRun(config, config.env, algorithm, None, 1600)
+    return scripted_run()
 
 
 @pytest.fixture
@@ -64,7 +30,7 @@ def run(trained, monkeypatch, tmp_path):
 @pytest.fixture(scope="module")
 def episode(trained):
     keys = jax.random.split(jax.random.key(0), 2)
-    return render.record(trained.env, scripted_policy(None), keys)[1]
+    return episodes.record(trained.env, scripted_policy(None), keys)[1]
 
 
 def color_of(hexadecimal: str) -> tuple[int, ...]:
@@ -126,7 +92,7 @@ def test_names_and_colors_of_agents_come_from_the_environment():
         agent_names = ("Alice", "Bob")
         agent_colors = (COLORS["alice"], COLORS["bob"])
 
-    agents = drawing.describe_agents(Named())
+    agents = describe_agents(Named())
     assert agents == [("Alice", COLORS["alice"]), ("Bob", COLORS["bob"])]
     picture = np.zeros((320, 320, 3), np.uint8)
     frame = drawing.draw_frame(picture, ("", ""), drawing.INK, np.zeros(3, int), agents)
@@ -201,3 +167,19 @@ def test_draws_skills(run, trained, tmp_path, monkeypatch):
     monkeypatch.setattr(skill_maps, "load_run", lambda *_: other)
     with pytest.raises(RunError, match="is not a run on alice_and_bob"):
         skill_maps.draw_skills(run, out)
+
+
+def test_of_long_episodes_some_steps_are_drawn(trained, episode):
+    length = len(episode.rewards)
+    assert render.frame_times(episode) == list(range(length + 1))
+    times = render.frame_times(episode, most=8)
+    assert times[0] == 0
+    assert times[-1] == length
+    assert len(times) <= 8
+    (pictures,) = render.draw_pictures(trained.env, [episode], most=8)
+    assert len(pictures) == len(times)
+    second = trained.env.render(episode.env_states[times[1]])
+    np.testing.assert_array_equal(pictures[1], second)
+    frames = render.add_captions(trained.env, episode, pictures, most=8)
+    colors = {tuple(pixel) for pixel in frames[-1].reshape(-1, 3)}
+    assert color_of(drawing.WON) in colors

@@ -117,6 +117,11 @@ MISTAKES = [
     (["render", "none"], "out is missing"),
     (["plot"], "runs is missing"),
     (["plot", "none"], "none is not a run folder"),
+    (["report"], "runs is missing"),
+    (["report", "none"], "none is not a run folder"),
+    (["report", "none", "--serve"], "none is not a run folder"),
+    (["report", "none", "--port", "70000"], "port must be between 0 and 65535, got 70000"),
+    (["report", "none", "--megabytes", "3"], "megabytes must be at least 6, got 3"),
 ]
 
 

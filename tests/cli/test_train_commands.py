@@ -73,7 +73,7 @@ def test_the_next_step_is_a_command_for_this_run(algorithm, seed, end, tmp_path)
 
 
 def test_a_run_folder_holds_everything(alone):
-    names = {"config.json", "run.json", "summary.json", "curves.png", "seed_1"}
+    names = {"config.json", "run.json", "summary.json", "curves.png", "curves.csv", "seed_1"}
     assert {path.name for path in alone.iterdir()} == names
     assert read_config(alone) == load(None, SETTINGS)
     record = json.loads((alone / "run.json").read_text())

@@ -12,7 +12,8 @@ import pytest
 
 from envs_jax.micro_battle.observations import FIRST_ATTACK
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig
-from hmasd_jax.config import from_json, load
+from hmasd_jax.config import from_json, load, to_json
+from hmasd_jax.config.presets import find_preset
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EAST = 4
@@ -35,9 +36,8 @@ def test_robust_presets_mark_what_differs_from_the_papers(path):
     assert sorted(marked) == sorted(name for name, _ in changed)
 
 
-@pytest.mark.parametrize("name", ["hmasd_robust", "quick"])
-def test_q_d_of_alice_and_bob_sees_row_and_column(name):
-    config = load(CONFIGS / f"alice_and_bob/{name}.toml")
+def test_q_d_of_alice_and_bob_sees_row_and_column():
+    config = load(CONFIGS / "alice_and_bob/hmasd_robust.toml")
     state, timestep = config.env.reset(jax.random.key(0))
     seen = timestep.obs[:, jnp.array(config.algorithm.discriminator_obs)]
     np.testing.assert_array_equal(seen, state.position)
@@ -69,6 +69,11 @@ def test_the_general_preset_has_the_same_settings_of_the_algorithm_in_all_tasks(
     paths = sorted(CONFIGS.glob("**/hmasd_general.toml"))
     assert len(paths) == 7
     assert len({load(path).algorithm for path in paths}) == 1
+
+
+def test_the_quick_sweep_runs_the_general_preset():
+    quick, general = (load(CONFIGS / f"alice_and_bob/{x}.toml") for x in ("quick", "hmasd_general"))
+    assert (quick.env, quick.algorithm) == (general.env, general.algorithm)
 
 
 @pytest.mark.parametrize(
@@ -135,3 +140,25 @@ def test_all_algorithms_have_a_preset_for_every_task_and_the_same_budget():
             for table in tables:
                 table.pop("observation"), table.pop("state", None)
             assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize(
+    ("name", "preset"),
+    [
+        ("alice_and_bob/hmasd_robust", "alice_and_bob/hmasd"),
+        ("micro_battle/3m/hmasd_general", "micro_battle/3m/hmasd"),
+        ("overcooked/coordination_ring/mat", "overcooked/coordination_ring/mat"),
+    ],
+)
+def test_a_run_is_compared_with_the_papers_preset(name, preset):
+    table = to_json(load(CONFIGS / f"{name}.toml"))
+    found = find_preset(table)
+    assert found is not None
+    assert found[0] == preset
+    assert found[1]["algorithm.ppo.discount"] == 0.99
+
+
+def test_another_task_has_no_preset():
+    table = to_json(load(None, {"env.name": "micro_battle", "env.scenario": "3m"}))
+    assert find_preset(table | {"env": table["env"] | {"scenario": "mine"}}) is None
+    assert find_preset(table | {"algorithm": {"name": "mine"}}) is None

@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import envs_jax
-from hmasd_jax.exploration.novelty import NO_BONUS, NoveltyConfig, make_novelty, measure
+from hmasd_jax.exploration.bonus import NO_BONUS
+from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty, measure
 
 ENV = envs_jax.make("alice_and_bob")
 

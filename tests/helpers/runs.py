@@ -3,7 +3,11 @@
 import json
 from pathlib import Path
 
+import jax
+
 from hmasd_jax import config as configs
+from hmasd_jax.runs import checkpoint
+from hmasd_jax.runs.folder import checkpoint_folder
 
 STEPS = [0, 100, 200, 300]
 """Environment steps of the evaluations."""
@@ -25,3 +29,11 @@ def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
         lines = "".join(json.dumps(record) + "\n" for record in records)
         (folder / f"seed_{seed}" / "metrics.jsonl").write_text(lines)
     return folder
+
+
+def save_checkpoint(run: Path, seed: int, env_steps: int) -> None:
+    """Save a fresh train state as a checkpoint of the run's own configuration."""
+    config = configs.load(run / "config.json")
+    _, algorithm = configs.build(config)
+    state = jax.jit(algorithm.init)(jax.random.key(seed))
+    checkpoint.save(checkpoint_folder(run, seed), env_steps, state, configs.to_json(config), keep=1)

@@ -12,6 +12,7 @@ from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.batches import high_batch
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.coordinator import assign, coordinator_loss
+from hmasd_jax.hmasd.policy import only
 from hmasd_jax.hmasd.rollout_phase import collect
 
 
@@ -25,15 +26,16 @@ def random(config):
     return replace(config, coordinator="random", segment_clock="episode", skill_interval=7)
 
 
-def _assign(parts, greedy=False, fixed=None, copies=4000):
+def _assign(parts, greedy=False, skills=None, copies=4000):
     """Skills for the same state, many times over, and what else is known of them."""
     env = parts.env
     state, obs = jnp.zeros((1, env.state_dim)), jnp.zeros((1, env.num_agents, env.obs_dim))
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     params = parts.coordinator.init(jax.random.key(0), state, obs, tokens)
     state, obs = (jnp.repeat(x, copies, axis=0) for x in (state, obs))
+    allowed = None if skills is None else only(parts, skills)
     return jax.device_get(
-        assign(parts.coordinator, params, state, obs, jax.random.key(1), greedy, fixed)
+        assign(parts.coordinator, params, state, obs, jax.random.key(1), greedy, allowed)
     )
 
 
@@ -45,16 +47,16 @@ def _rollout(parts, algorithm):
 
 
 @pytest.mark.parametrize(
-    ("greedy", "fixed"), [(False, None), (True, None), (False, (1, None, None))]
+    ("greedy", "given"), [(False, None), (True, None), (False, (1, None, None))]
 )
-def test_without_individual_skills_all_agents_have_the_teams(parts, team_only, greedy, fixed):
-    skills, log_prob, _ = _assign(make_parts(parts.env, team_only), greedy, fixed)
+def test_without_individual_skills_all_agents_have_the_teams(parts, team_only, greedy, given):
+    skills, log_prob, _ = _assign(make_parts(parts.env, team_only), greedy, given)
     assert (skills[:, 1:] == skills[:, :1]).all()
     assert (log_prob[:, 1:] == 0).all()
     assert (log_prob[:, 0] < 0).all()
     # A fresh coordinator has no preference: about half of the teams have each skill.
-    assert len(set(skills[:, 0])) == (1 if greedy or fixed else 2)
-    assert fixed is None or (skills[:, 0] == 1).all()
+    assert len(set(skills[:, 0])) == (1 if greedy or given else 2)
+    assert given is None or (skills[:, 0] == 1).all()
 
 
 def test_without_individual_skills_only_the_teams_is_trained(parts, team_only):

@@ -69,14 +69,14 @@ def _timestep(env, key, batch):
     )
 
 
-def _run_policy(parts, trained, greedy, first, key=0, skills=None, order=None):
+def _run_policy(parts, trained, greedy, first, key=0, skills=None, order=None, allowed=None):
     """Skills and actions of the policy over random timesteps, (T, copies, ..)."""
     steps, copies = first.shape
     order = np.arange(copies) if order is None else order
 
     def run(key):
         policy = make_policy(
-            parts, trained.coordinator.params, trained.discoverer.params, greedy, skills
+            parts, trained.coordinator.params, trained.discoverer.params, greedy, skills, allowed
         )
         timesteps = _timestep(parts.env, jax.random.key(5), (steps, copies))
 
@@ -130,6 +130,26 @@ def test_given_skills_are_followed_and_the_others_still_chosen(parts, trained):
     assert (skills[..., 0] == 1).all()
     assert (skills[..., 2] == 0).all()
     assert len(np.unique(skills[..., 1])) > 1
+
+
+def test_a_removed_skill_is_never_given_and_the_others_are(parts, trained):
+    config = parts.config
+    allowed = np.ones((3, parts.coordinator.max_skills), bool)
+    allowed[1, 2] = False
+    skills, _ = _run_policy(parts, trained, False, FIRST, allowed=jnp.asarray(allowed))
+    assert set(np.unique(skills[..., 1])) == set(range(config.num_skills)) - {2}
+    assert set(np.unique(skills[..., 2])) == set(range(config.num_skills))
+    assert skills[..., 0].max() < config.num_team_skills
+
+
+def test_to_allow_one_skill_is_to_hold_it(parts, trained):
+    held = _run_policy(parts, trained, True, FIRST, skills=(1, None, 0))
+    allowed = np.ones((3, parts.coordinator.max_skills), bool)
+    allowed[0], allowed[2] = False, False
+    allowed[0, 1] = allowed[2, 0] = True
+    np.testing.assert_array_equal(
+        held[0], _run_policy(parts, trained, True, FIRST, allowed=jnp.asarray(allowed))[0]
+    )
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ LAYERS = (
     {"runs"},
     {"training"},
     {"analysis"},
+    {"report"},
     {"cli"},
     {"train"},
 )

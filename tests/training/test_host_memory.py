@@ -2,6 +2,7 @@ import math
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -44,3 +45,12 @@ def test_freed_memory_is_kept_on_request():
     assert min(usual) > 100  # pages come anew each time
     assert first > 100
     assert again < 10
+
+
+def test_the_predicted_peak_is_what_ps_shows():
+    status = Path("/proc/self/status").read_text()
+    highest = int(status.partition("VmHWM:")[2].split()[0]) * 1024
+    assert host_memory.predicted_peak(0) == pytest.approx(highest, rel=0.02)
+    more = 2 * highest
+    resident = int(status.partition("VmRSS:")[2].split()[0]) * 1024
+    assert host_memory.predicted_peak(more) == pytest.approx(resident + more, rel=0.02)

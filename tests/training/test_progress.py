@@ -30,7 +30,7 @@ def record(kind, env_steps, wall_seconds, **metrics):
 
 EVENTS = [
     Event("start", 0, {"env_steps": 200}),
-    Event("compiled", 0, {"seconds": 31.0, "memory_bytes": 3 * 2**20}),
+    Event("compiled", 0, {"seconds": 31.0, "memory_bytes": 3 * 2**20, "peak_bytes": 7 * 2**20 - 1}),
     record("train", 300, 10.0, **METRICS),
     record("train", 500, 14.0, **METRICS),
     record("eval", 500, 15.0, success=0.5),
@@ -40,17 +40,20 @@ EVENTS = [
 def test_lines_say_what_matters():
     text = show(EVENTS, terminal=False)
     assert "seed 0: resuming from env step 200" in text
-    assert "compiled in 31 s; predicted memory 3 MiB per process" in text
+    assert (
+        "compiled in 31 s; predicted memory 7 MiB per process, of which arrays of the programs 3"
+        in text
+    )
     # 200 env steps in the 5 s since the first record; the remaining 500 take 12.5 s
     assert "40/s  ETA 0:00:12" in text
-    assert "success 25%  H(Z) 0.69  H(z) 1.39  q_D 50%  q_d 75%  eval 50%" in text
+    assert "training success 25%  H(Z) 0.69  H(z) 1.39  q_D 50%  q_d 75%  evaluation 50 %" in text
     assert "\x1b" not in text
 
 
 def test_a_terminal_gets_bars():
     text = show(EVENTS, terminal=True)
     assert "\x1b" in text
-    assert "success 25%  H(Z) 0.69  H(z) 1.39  q_D 50%  q_d 75%" in text
+    assert "training success 25%  H(Z) 0.69  H(z) 1.39  q_D 50%  q_d 75%" in text
 
 
 def test_lines_are_rare():

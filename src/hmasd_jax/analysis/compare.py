@@ -18,12 +18,13 @@ from rich.table import Table
 
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of, read_evaluations
-from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups
+from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups, write_csv
 from hmasd_jax.analysis.statistics import (
     Array,
     Estimate,
     estimate,
     estimate_fraction,
+    few_seeds,
     interquartile_mean,
     last_evaluations,
     probability_of_improvement,
@@ -52,10 +53,13 @@ class Comparison(NamedTuple):
     solved_at: float
     """Lowest score of a seed that has solved the task."""
 
-    def draw(self, out: Path) -> Path:
-        """Draw the curves with their intervals and return `out`."""
+    def draw(self, out: Path, show_seeds: bool = False) -> Path:
+        """Draw the curves with their intervals, write them as CSV beside it, and return `out`."""
         require("matplotlib", "plots", "plotting")
-        return draw_groups(list(zip(self.labels, self.curves)), self.task, self.metric, out)
+        groups = list(zip(self.labels, self.curves))
+        draw_groups(groups, self.task, self.metric, out, show_seeds)
+        write_csv(groups, self.metric, out)
+        return Path(out)
 
 
 def compare_runs(
@@ -82,15 +86,16 @@ def compare_runs(
                 f"{run} is on another task than {runs[0]}: {table['env']}, not {tables[0]['env']}"
             )
     steps, _ = common_steps([curve for seeds in curves for curve in seeds])
+    steps = steps[steps > 0]  # The evaluation at step 0 is of the untrained policy.
     if len(steps) < last:
         raise RunError(
-            f"the seeds of these runs have {len(steps)} evaluations of {metric} in common, and "
-            f"a score needs {last}: wait for more, or ask for fewer with --last"
+            f"the seeds of these runs have {len(steps)} evaluations of {metric} after step 0 in "
+            f"common, and a score needs {last}: wait for more, or ask for fewer with --last"
         )
     scores = []
     for seeds in curves:
         own, values = common_steps(seeds)
-        scores.append(last_evaluations(values[:, own <= steps[-1]], last))
+        scores.append(last_evaluations(values[:, (own > 0) & (own <= steps[-1])], last))
     names = labels_of(runs, tables)
     task = tables[0]["env"]["name"]
     return Comparison(
@@ -113,6 +118,7 @@ def tables(comparison: Comparison) -> list[Table]:
         title=f"{comparison.task}: {comparison.metric} of the last {comparison.last} evaluations "
         f"up to {comparison.env_steps:,} env steps; 95 % intervals",
     )  # fmt: skip
+    per_run.caption = few_seeds(min(map(len, scores)))
     for label, own in zip(labels, scores):
         means = (
             estimate([own], lambda groups, mean=mean: mean(groups[0]))

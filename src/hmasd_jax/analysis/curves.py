@@ -1,6 +1,6 @@
 """Learning curves over seeds, from run folders and from recorded results.
 
-Each curve is the mean over seeds with its 95 % bootstrap interval. Thin lines show the seeds.
+Each curve is the mean over seeds with its 95 % bootstrap interval.
 """
 
 import json
@@ -13,13 +13,18 @@ import numpy as np
 from envs_jax.optional import require
 from hmasd_jax.analysis.figures import (
     COLORS,
+    MAX_CURVES,
     Curve,
     colors,
     common_steps,
     draw_curves,
+    draw_groups,
     finish,
+    label_ends,
+    name_band,
     new_figure,
     save,
+    write_csv,
 )
 from hmasd_jax.config import to_json
 from hmasd_jax.runs import metrics_log
@@ -50,15 +55,18 @@ class Reference(NamedTuple):
     """Mean and standard deviation over seeds at the end."""
 
 
-def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
-    """Draw the evaluations of one or more runs, finished or not.
+def plot_runs(
+    runs: Sequence[Path], out: Path, metric: str = "success", show_seeds: bool = False
+) -> Path:
+    """Draw the evaluations of one or more runs, finished or not, and write them as CSV beside it.
 
-    Runs with skills also get panels of skill entropies and discriminator accuracies.
+    Up to five runs with skills also get panels of skill entropies and discriminator accuracies.
 
     Args:
         runs: Folders of runs. Each becomes one curve over its seeds.
-        out: Image to write. Its suffix selects the format.
+        out: Image to write. Its suffix selects the format: .png, .pdf, .svg, ..
         metric: Name in the evaluations, e.g. `success`, `return` or `length`.
+        show_seeds: If True, also draw a thin line per seed.
 
     Returns:
         `out`.
@@ -72,20 +80,30 @@ def plot_runs(runs: Sequence[Path], out: Path, metric: str = "success") -> Path:
     runs = [Path(run) for run in runs]
     curves = [read_evaluations(run, metric) for run in runs]
     tables = [to_json(read_config(run)) for run in runs]
+    groups = list(zip(labels_of(runs, tables), curves))
+    title = ", ".join(sorted({table["env"]["name"] for table in tables}))
     panels = _diagnostics(runs, tables)
-    figure, main, side = new_figure(panels=bool(panels))
-    for seeds, label, color in zip(curves, labels_of(runs, tables), colors(len(runs))):
-        draw_curves(main, seeds, label, color)
-    names = sorted({table["env"]["name"] for table in tables})
-    finish(main, ", ".join(names), metric, legend=True)
+    if not panels or len(runs) > MAX_CURVES:
+        draw_groups(groups, title, metric, out, show_seeds)
+        write_csv(groups, metric, out)
+        return Path(out)
+    figure, main, side = new_figure(panels=True)
+    ends = [
+        draw_curves(main, seeds, label, color, number, show_seeds)
+        for number, ((label, seeds), color) in enumerate(zip(groups, colors(len(runs))))
+    ]
+    finish(main, title, metric)
+    label_ends(main, ends)
+    name_band(main, curves)
     for axes, (title, lines) in zip(side, panels.items()):
         for curve, style, color in lines:
             axes.plot(*curve, color=color, linestyle=style, linewidth=1.4)
         finish(axes, title, None)
-    if panels:
-        _explain_styles(side[0])
-        side[-1].set_xlabel("environment steps", fontsize=8)
-    return save(figure, out)
+    _explain_styles(side[0])
+    side[-1].set_xlabel("environment steps", fontsize=8)
+    save(figure, out)
+    write_csv(groups, metric, out)
+    return Path(out)
 
 
 def plot_result(result: Path, out: Path, reference: Reference | None = None) -> Path:
@@ -107,7 +125,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     record = json.loads(Path(result).read_text())
     label, curves = recorded_curves(result)
     figure, axes, _ = new_figure(panels=False)
-    draw_curves(axes, curves, label, COLORS[0])
+    draw_curves(axes, curves, label, COLORS[0], show_seeds=True)
     if reference is not None:
         end = record["env_steps"][-1]
         _draw_reference(axes, reference, end, percent=record["metric"] == "success")

@@ -1,5 +1,6 @@
 """Figures of learning curves, for `plot` and `compare`."""
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,8 +17,17 @@ if TYPE_CHECKING:
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
 """Colors that color-blind readers can tell apart (Okabe and Ito)."""
 
+EDITABLE_TEXT = {"pdf.fonttype": 42, "svg.fonttype": "none"}
+"""Settings of matplotlib by which PDF and SVG keep their text as text."""
+DASHES = ("-", (0, (6, 2)), (0, (2, 1.5)), (0, (6, 2, 1.5, 2)), (0, (9, 1.5)))
+MARKERS = ("o", "s", "^", "D", "v")
+MAX_CURVES = 5
+"""Most curves of a panel; more cannot be told apart."""
+
 Curve = tuple[Array, Array]
 """Environment steps (n,) and values (n,)."""
+Group = tuple[str, Sequence[Curve]]
+"""Label, and one curve per seed."""
 
 
 def common_steps(curves: Sequence[Curve]) -> tuple[Array, Array]:
@@ -45,29 +55,144 @@ def new_figure(panels: bool) -> tuple["Figure", "Axes", list["Axes"]]:
     return figure, figure.add_subplot(grid[:, 0]), side
 
 
-def draw_curves(axes: "Axes", curves: Sequence[Curve], label: str, color: str) -> None:
-    """Draw the mean over seeds, its interval, and a thin line per seed."""
-    for own, values in curves:
+def draw_curves(
+    axes: "Axes",
+    curves: Sequence[Curve],
+    label: str,
+    color: str,
+    number: int = 0,
+    show_seeds: bool = False,
+) -> tuple[float, float]:
+    """Draw the mean over seeds and its interval.
+
+    Args:
+        axes: Axes to draw on.
+        curves: One curve per seed.
+        label: Name of the group.
+        color: Its color.
+        number: Place of the group in the figure. Each has its own dashes and places of markers, so
+            that curves which coincide stay apart.
+        show_seeds: If True, also draw a thin line per seed.
+
+    Returns:
+        The end of the mean, for `label_ends`.
+    """
+    for own, values in curves if show_seeds else ():
         axes.plot(own, values, color=color, linewidth=0.7, alpha=0.35)
     steps, values = common_steps(curves)
     if len(curves) > 1 and len(steps):
         axes.fill_between(steps, *mean_interval(values), color=color, alpha=0.2, linewidth=0)
-    axes.plot(steps, values.mean(axis=0), color=color, linewidth=2.2, label=label)
+    mean = values.mean(axis=0)
+    every = max(len(steps) // 4, MAX_CURVES)
+    axes.plot(
+        steps,
+        mean,
+        color=color,
+        linewidth=2.0,
+        label=label,
+        linestyle=DASHES[number % MAX_CURVES],
+        marker=MARKERS[number % MAX_CURVES],
+        markersize=4.5,
+        markevery=(number % MAX_CURVES * every // MAX_CURVES, every),
+    )
+    return (float(steps[-1]), float(mean[-1])) if len(steps) else (0.0, 0.0)
+
+
+def label_ends(axes: "Axes", ends: Sequence[tuple[float, float]]) -> None:
+    """Write the label of each curve beside its end, so far apart that all can be read.
+
+    Args:
+        axes: Axes with finished limits. Their labeled lines are those of `ends`, in order.
+        ends: Last point of each curve.
+    """
+    lines = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
+    low, high = axes.get_ylim()
+    heights = np.array([(y - low) / (high - low) for _, y in ends])
+    order = np.argsort(heights, kind="stable")
+    places = _spread(heights[order], gap=0.075)
+    for index, place in zip(order, places):
+        line, end = lines[index], ends[index]
+        axes.annotate(
+            str(line.get_label()),
+            xy=end,
+            xytext=(1.03, float(place)),
+            textcoords="axes fraction",
+            color=line.get_color(),
+            fontsize=9,
+            verticalalignment="center",
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-",
+                "color": line.get_color(),
+                "alpha": 0.6,
+                "linewidth": 0.7,
+                "relpos": (0.0, 0.5),  # It meets the text at its left end.
+            },
+        )
+
+
+def _spread(heights: Array, gap: float) -> Array:
+    """Move sorted heights apart to at least `gap`, within 0 and 1 if there is room."""
+    places = heights.copy()
+    for index in range(1, len(places)):
+        places[index] = max(places[index], places[index - 1] + gap)
+    places[-1:] = np.minimum(places[-1:], 1.0)
+    for index in range(len(places) - 2, -1, -1):
+        places[index] = min(places[index], places[index + 1] - gap)
+    return places
 
 
 def draw_groups(
-    groups: Sequence[tuple[str, Sequence[Curve]]], title: str, metric: str, out: Path
+    groups: Sequence[Group], title: str, metric: str, out: Path, show_seeds: bool = False
 ) -> Path:
-    """Draw groups of curves into one panel, each with its own label and color.
+    """Draw groups of curves, at most `MAX_CURVES` a panel, each labeled at its end.
+
+    Args:
+        groups: Label and one curve per seed of each group.
+        title: Title of the figure.
+        metric: Name of the metric.
+        out: Image to write: .png, .pdf, .svg, ..
+        show_seeds: If True, also draw a thin line per seed.
 
     Raises:
         RunError: `out` cannot be written.
     """
-    figure, axes, _ = new_figure(panels=False)
-    for (label, curves), color in zip(groups, colors(len(groups))):
-        draw_curves(axes, curves, label, color)
-    finish(axes, title, metric, legend=True)
+    from matplotlib.figure import Figure
+
+    count = -(-len(groups) // MAX_CURVES)
+    size = (6.4, 0.8 + 3.4 * count)
+    figure = Figure(figsize=size, dpi=150, layout="constrained")
+    panels = figure.subplots(count, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, part in zip(panels, np.array_split(np.arange(len(groups)), count)):
+        ends = [
+            draw_curves(axes, groups[i][1], groups[i][0], color, number, show_seeds)
+            for number, (i, color) in enumerate(zip(part, colors(len(part))))
+        ]
+        finish(axes, title if axes is panels[0] else "", metric)
+        label_ends(axes, ends)
+    name_band(panels[-1], [curves for _, curves in groups])
+    for axes in panels[:-1]:
+        axes.set_xlabel("")
     return save(figure, out)
+
+
+def name_band(axes: "Axes", groups: Sequence[Sequence[Curve]]) -> None:
+    """Say below the axes what the bands are, if there are any."""
+    if any(len(curves) > 1 for curves in groups):
+        note = "band: 95 % bootstrap interval of the mean over seeds"
+        axes.set_xlabel(f"{axes.get_xlabel()}\n{note}", fontsize=9)
+
+
+def write_csv(groups: Sequence[Group], metric: str, out: Path) -> Path:
+    """Write curves as rows of label, seed, env_steps and value; return the file."""
+    out = Path(out).with_suffix(".csv")
+    with out.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(("label", "seed", "env_steps", metric))
+        for label, curves in groups:
+            for seed, curve in enumerate(curves):
+                writer.writerows((label, seed, int(x), float(y)) for x, y in zip(*curve))
+    return out
 
 
 def finish(axes: "Axes", title: str, metric: str | None, legend: bool = False) -> None:
@@ -97,10 +222,13 @@ def save(figure: "Figure", out: Path) -> Path:
     Raises:
         RunError: The file cannot be written.
     """
+    import matplotlib
+
     out = Path(out)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(out)
+        with matplotlib.rc_context(EDITABLE_TEXT):
+            figure.savefig(out)
     except (OSError, ValueError) as error:  # ValueError for an unknown format
         raise RunError(
             f"cannot write {out}: {getattr(error, 'strerror', None) or error}"

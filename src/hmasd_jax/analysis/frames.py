@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from envs_jax import Environment
+from envs_jax.declared import Agent
 
 SKILL_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
 TEAM_COLORS = ("#4B3F8F", "#A8820A", "#2D6A6A", "#8C2F39", "#3D5A1E", "#6B4226", "#1F1F1F")
@@ -24,9 +24,6 @@ MIN_WIDTH = 320
 FONT_SIZE = 14
 LINE = 24
 """Height of a line of the caption (pixels)."""
-
-Agent = tuple[str, tuple[int, int, int] | None]
-"""Name of an agent, and its color in the picture if known."""
 
 
 class Chip(NamedTuple):
@@ -41,13 +38,6 @@ class Chip(NamedTuple):
     """Left edge (pixels)."""
     right: float
     """Right edge (pixels)."""
-
-
-def describe_agents(env: Environment) -> list[Agent]:
-    """Return the agents' names and colors if the environment has them, else their numbers."""
-    numbers = range(env.num_agents)
-    names = getattr(env, "agent_names", [f"agent {i + 1}" for i in numbers])
-    return list(zip(names, getattr(env, "agent_colors", [None for _ in numbers])))
 
 
 def draw_frame(
@@ -94,6 +84,17 @@ def draw_frame(
             if dot is not None:
                 draw.circle((left + 12, top + LINE / 2), 6, dot, PAPER)
     return np.asarray(image)
+
+
+def shrink(picture: np.ndarray, max_width: int | None) -> np.ndarray:
+    """Scale an image (height, width, 3) down to at most `max_width` pixels."""
+    from PIL import Image
+
+    height, width = picture.shape[:2]
+    if max_width is None or width <= max_width:
+        return picture
+    size = (max_width, round(height * max_width / width))
+    return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
 
 
 def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> list[list[Chip]]:

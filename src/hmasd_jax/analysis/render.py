@@ -3,35 +3,23 @@
 import importlib.util
 import warnings
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from envs_jax import Environment
+from envs_jax.declared import describe_agents, draw_states
 from envs_jax.optional import require
-from hmasd_jax.analysis.frames import INK, LOST, WON, describe_agents, draw_frame
+from hmasd_jax.analysis.episodes import Episode, record
+from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
-from hmasd_jax.types import Key, Policy
+from hmasd_jax.types import Policy
 
 PAUSE = 1.5
 """Time that the end of an episode stays on screen (seconds)."""
-
-
-class Episode(NamedTuple):
-    """One episode of T steps."""
-
-    env_states: list[Any]
-    """T + 1 unbatched simulator states, including the first and the last."""
-    skills: np.ndarray | None
-    """Z, z^1, .., z^N at every step, (T, 1 + N); None for policies without skills."""
-    rewards: np.ndarray
-    """Team reward of every step, (T,)."""
-    success: bool | None
-    """True if the episode ended in success; None if the environment has no success."""
 
 
 def render_run(
@@ -104,67 +92,63 @@ def make_policy(
         raise RunError(str(error)) from error
 
 
-def play(env: Environment, policy: Policy, keys: Key) -> tuple[Any, Any, Any]:
-    """Play one episode per key, without a reset at its end.
-
-    Returns:
-        Simulator states (E, max_steps + 1, ...), time steps of the same shape, and the extras of
-        the policy (E, max_steps, ...). Values after the end of an episode are meaningless.
-    """
-
-    def step(loop, key):
-        env_state, timestep, memory, first = loop
-        key_policy, key_env = jax.random.split(key)
-        memory, action, extras = policy.step(memory, timestep, first, key_policy)
-        env_state, timestep = env.step(key_env, env_state, action)
-        return (env_state, timestep, memory, jnp.array(False)), (env_state, timestep, extras)
-
-    def play_one(key):
-        key_reset, key_steps = jax.random.split(key)
-        env_state, timestep = env.reset(key_reset)
-        start = (env_state, timestep, policy.init(()), jnp.array(True))
-        keys = jax.random.split(key_steps, env.max_steps)
-        _, (env_states, timesteps, extras) = jax.lax.scan(step, start, keys)
-        visited = jax.tree.map(
-            lambda x, xs: jnp.concatenate([x[None], xs]),
-            (env_state, timestep),
-            (env_states, timesteps),
-        )
-        return (*visited, extras)
-
-    return jax.jit(jax.vmap(play_one))(keys)
-
-
-def record(env: Environment, policy: Policy, keys: Key) -> list[Episode]:
-    """One episode per key, cut at its end."""
-    env_states, timesteps, extras = jax.device_get(play(env, policy, keys))
-    lengths = timesteps.done.argmax(axis=1)
-    has_skills = isinstance(extras, np.ndarray) and extras.shape[2:] == (1 + env.num_agents,)
-    episodes = []
-    for index, length in enumerate(lengths):
-        success = timesteps.info.get("success")
-        episodes.append(
-            Episode(
-                env_states=[
-                    jax.tree.map(lambda x, i=index, t=t: x[i, t], env_states)
-                    for t in range(length + 1)
-                ],
-                skills=extras[index, :length] if has_skills else None,
-                rewards=timesteps.reward[index, 1 : length + 1],
-                success=None if success is None else bool(success[index, length] > 0),
-            )
-        )
-    return episodes
-
-
 def draw_episode(
     env: Environment, episode: Episode, title: str = "", pause: int = 0
 ) -> list[np.ndarray]:
     """Draw one frame (height, width, 3) per state, and repeat the last one `pause` times."""
+    (pictures,) = draw_pictures(env, [episode])
+    return add_captions(env, episode, pictures, title, pause)
+
+
+def frame_times(episode: Episode, most: int | None = None) -> list[int]:
+    """Return the steps to draw: all, or every second, third, .. and the last, at most `most`."""
+    last = len(episode.env_states) - 1
+    every = 1 if most is None else max(-(-last // (most - 1)), 1)
+    return sorted({*range(0, last + 1, every), last})
+
+
+def draw_pictures(
+    env: Environment,
+    episodes: Sequence[Episode],
+    max_width: int | None = None,
+    most: int | None = None,
+) -> list[list[np.ndarray]]:
+    """Draw states of episodes in one view, without captions.
+
+    Args:
+        env: Environment of the episodes.
+        episodes: Episodes to draw.
+        max_width: Width to which wider pictures are scaled down, in pixels.
+        most: Most pictures of an episode, at its `frame_times`; None draws all states.
+    """
+    times = [frame_times(episode, most) for episode in episodes]
+    states = [e.env_states[time] for e, own in zip(episodes, times) for time in own]
+    pictures = iter(draw_states(env, states))
+    return [[shrink(x, max_width) for x in islice(pictures, len(own))] for own in times]
+
+
+def add_captions(
+    env: Environment,
+    episode: Episode,
+    pictures: Sequence[np.ndarray],
+    title: str = "",
+    pause: int = 0,
+    most: int | None = None,
+) -> list[np.ndarray]:
+    """Add borders and captions to the pictures of an episode.
+
+    Args:
+        env: Environment of the episode.
+        episode: The episode.
+        pictures: Its pictures, as `draw_pictures` returns them.
+        title: Text on the right.
+        pause: Number of times to repeat the last frame.
+        most: As in `draw_pictures`.
+    """
     length = len(episode.rewards)
     agents = describe_agents(env)
     frames = []
-    for time, env_state in enumerate(episode.env_states):
+    for time, picture in zip(frame_times(episode, most), pictures):
         skills = None if episode.skills is None else episode.skills[min(time, length - 1)]
         total = float(episode.rewards[:time].sum())
         text, color = f"step {time}, return {total:g}", INK
@@ -172,7 +156,7 @@ def draw_episode(
             outcome = {True: "success", False: "failure", None: "end"}[episode.success]
             text = f"{outcome} after {length} steps, return {total:g}"
             color = {True: WON, False: LOST, None: INK}[episode.success]
-        frames.append(draw_frame(env.render(env_state), (text, title), color, skills, agents))
+        frames.append(draw_frame(picture, (text, title), color, skills, agents))
     return frames + frames[-1:] * pause
 
 

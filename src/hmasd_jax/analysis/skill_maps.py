@@ -8,10 +8,11 @@ import numpy as np
 
 from envs_jax import alice_and_bob
 from envs_jax.alice_and_bob import AliceAndBob
+from envs_jax.declared import describe_agents
 from envs_jax.optional import require
+from hmasd_jax.analysis.episodes import play
 from hmasd_jax.analysis.figures import save
-from hmasd_jax.analysis.frames import describe_agents
-from hmasd_jax.analysis.render import make_policy, play
+from hmasd_jax.analysis.render import make_policy
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
 
@@ -76,7 +77,7 @@ def visitation(trained: TrainedRun, episodes: int) -> np.ndarray:
     maps = np.zeros((config.num_skills, env.num_agents, *alice_and_bob.BOARD.shape))
     for skill in range(config.num_skills):
         policy = make_policy(trained, (None, *[skill] * env.num_agents))
-        env_states, timesteps, _ = jax.device_get(play(env, policy, keys))
+        env_states, timesteps, *_ = jax.device_get(play(env, policy, keys))
         # (E, T + 1): True up to the end of the episode; later steps are meaningless.
         alive = np.cumsum(timesteps.done, axis=1) - timesteps.done == 0
         times = np.arange(alive.shape[1])
@@ -94,8 +95,7 @@ def coordinator_choices(trained: TrainedRun, episodes: int) -> np.ndarray:
     shares = np.zeros((config.num_team_skills, env.num_agents, config.num_skills))
     for team_skill in range(config.num_team_skills):
         policy = make_policy(trained, (team_skill, *[None] * env.num_agents))
-        _, _, skills = jax.device_get(play(env, policy, keys))
-        chosen = skills[:, 0, 1:]  # (E, agents)
+        chosen = jax.device_get(play(env, policy, keys)).extras[:, 0, 1:]  # (E, agents)
         shares[team_skill] = (chosen[..., None] == np.arange(config.num_skills)).mean(axis=0)
     return shares
 

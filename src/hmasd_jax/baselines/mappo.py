@@ -14,7 +14,9 @@ import optax
 from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.novelty import Bonus, NoveltyConfig, make_novelty
+from hmasd_jax.exploration.bonus import Bonus, add
+from hmasd_jax.exploration.counts import CountsConfig, make_counts
+from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import (
     NETWORKS,
@@ -50,6 +52,8 @@ class MAPPOConfig:
     choice of actions, such as the dead."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
     """Bonus for states not seen before, in units of the team reward. The paper has none."""
+    counts: CountsConfig = field(default_factory=CountsConfig)
+    """Bonus for rare values of single features, in units of the team reward. The paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
@@ -68,7 +72,7 @@ class MAPPOState(NamedTuple):
     memory: ActorCriticMemory
     learner: Learner
     norm: ValueNorm
-    novelty: Any = ()
+    bonus: Any = ()
     successes: Any = ()
 
 
@@ -90,7 +94,7 @@ class Parts:
     config: MAPPOConfig
     networks: ActorCritic
     optimizer: optax.GradientTransformation
-    novelty: Bonus
+    bonus: Bonus
     imitation: Imitation
 
     @property
@@ -120,7 +124,7 @@ def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
         config=config,
         networks=networks,
         optimizer=optimizer,
-        novelty=make_novelty(env, config.novelty),
+        bonus=add(make_novelty(env, config.novelty), make_counts(env, config.counts)),
         imitation=make_imitation(
             env, networks, optimizer, config.imitation, config.ppo, has_skills=False
         ),
@@ -147,7 +151,7 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
         memory=memory,
         learner=learner,
         norm=ValueNorm.create(),
-        novelty=parts.novelty.init(jax.random.fold_in(key, 1)),
+        bonus=parts.bonus.init(jax.random.fold_in(key, 1)),
         successes=parts.imitation.init(),
     )
 
@@ -232,7 +236,7 @@ def make_batch(
         never = jnp.zeros_like(outcome.done)
         return parts.networks.value(params, after, critic_input(config, outcome), never)[1]
 
-    bonus = parts.novelty.reward(state.novelty, rollouts.flatten(outcome.state))
+    bonus = parts.bonus.reward(state.bonus, rollouts.flatten(outcome.state))
     reward = outcome.reward + bonus.reshape(outcome.reward.shape)
     advantage, target = rollout_advantage(
         reward[..., None], extras.value, last_value, outcome, value_of_outcome,
@@ -280,13 +284,13 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         parts.optimizer, partial(mappo_loss, parts), state.learner, state.norm, batch, key_epochs,
         ppo,
     )  # fmt: skip
-    key_novelty, key_store = jax.random.split(jax.random.fold_in(key, 1))
-    novelty, novelty_metrics = parts.novelty.train(
-        state.novelty, rollouts.flatten(transitions.outcome.state), key_novelty
+    key_bonus, key_store = jax.random.split(jax.random.fold_in(key, 1))
+    bonus, bonus_metrics = parts.bonus.train(
+        state.bonus, rollouts.flatten(transitions.outcome.state), key_bonus
     )
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
     learner, imitation_metrics = parts.imitation.train(successes, learner)
-    explore_metrics = novelty_metrics | store_metrics | imitation_metrics
+    explore_metrics = bonus_metrics | store_metrics | imitation_metrics
     metrics |= {f"exploration/{k}": v for k, v in explore_metrics.items()}
     next_state = MAPPOState(
         key=key,
@@ -295,7 +299,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         memory=memory,
         learner=learner,
         norm=norm,
-        novelty=novelty,
+        bonus=bonus,
         successes=successes,
     )
     return next_state, metrics | rollouts.rollout_metrics(transitions.outcome)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from rich.console import Console
 from rich.table import Table
 
+from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import CompareOptions, EvaluateOptions, PlotOptions, RenderOptions
 from hmasd_jax.config import build, to_json
 from hmasd_jax.rl.evaluate import evaluate
@@ -61,6 +62,8 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
         print(f"seed {index} has no checkpoint yet")
     for fault in faults:
         print(f"error: {fault}", file=sys.stderr)
+    if rows:
+        suggest_next("render", options.run, "--out", "episode.gif")
     return 1 if faults else 0
 
 
@@ -102,6 +105,7 @@ def render(options: RenderOptions) -> int:
         step=options.step,
     )
     print(out)
+    suggest_next("report", options.run)
     return 0
 
 
@@ -109,7 +113,8 @@ def plot(options: PlotOptions) -> int:
     """Plot learning curves of runs and return the exit code."""
     from hmasd_jax.analysis.curves import plot_runs
 
-    print(plot_runs(options.runs, options.out, options.metric))
+    print(plot_runs(options.runs, options.out, options.metric, options.show_seeds))
+    suggest_next("compare" if len(options.runs) > 1 else "report", *options.runs)
     return 0
 
 
@@ -121,7 +126,8 @@ def compare(options: CompareOptions) -> int:
     console = _console()
     for table in tables(comparison):
         console.print(table)
-    print(comparison.draw(options.out))
+    print(comparison.draw(options.out, options.show_seeds))
+    suggest_next("report", *options.runs)
     return 0
 
 

@@ -16,6 +16,7 @@ from hmasd_jax.cli.options import (
     Options,
     PlotOptions,
     RenderOptions,
+    ReportOptions,
     RunOptions,
     SweepOptions,
     TrainOptions,
@@ -79,6 +80,12 @@ def _compare() -> Callable[..., int]:
     return compare
 
 
+def _report() -> Callable[..., int]:
+    from hmasd_jax.cli.report_command import report
+
+    return report
+
+
 COMMANDS = {
     "train": Command("Train one seed.", TrainOptions, _train),
     "seed_sweep": Command(
@@ -104,6 +111,11 @@ COMMANDS = {
         "Compare runs on one task: curves, and statistics over seeds with intervals.",
         CompareOptions,
         _compare,
+    ),
+    "report": Command(
+        "Write one HTML page that shows what runs learned: curves, skills, and which matter.",
+        ReportOptions,
+        _report,
     ),
 }
 

@@ -163,9 +163,11 @@ class PlotOptions(Options):
     runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN [RUN ...]")]
     """Folders of runs. Each run is one curve with a band over its seeds."""
     out: Path = Path("curves.png")
-    """Image to write."""
+    """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
     metric: str = "success"
     """Metric of the evaluations to plot, e.g. success, return or length."""
+    show_seeds: bool = False
+    """Also draw a thin line per seed."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +175,7 @@ class CompareOptions(PlotOptions):
     """Runs to compare."""
 
     out: Path = Path("comparison.png")
-    """Image to write."""
+    """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
     last: int = 5
     """Number of last evaluations whose mean is the score of a seed."""
     solved_at: float = 0.9
@@ -181,3 +183,33 @@ class CompareOptions(PlotOptions):
 
     def __post_init__(self) -> None:
         check_range(self, "last", low=1)
+
+
+@dataclass(frozen=True)
+class ReportOptions(Options):
+    """Runs to report."""
+
+    runs: Annotated[Positional[tuple[Path, ...]], arg(metavar="RUN [RUN ...]")]
+    """Folders of finished or running runs. They are only read."""
+    out: Path = Path("report.html")
+    """Page to write, .html. Its data goes beside it as CSV."""
+    episodes: int = 100
+    """Episodes per skill and condition."""
+    seeds: int = 3
+    """Most seeds per run whose skills are played."""
+    solved_at: float | None = None
+    """Score from which a seed has learned the task. The default is a success rate of 0.9, or any
+    return above 0."""
+    megabytes: float = 15.0
+    """Largest size of the page. Films become shorter to keep it."""
+    serve: bool = False
+    """Serve the page on this machine instead of writing it: it follows the training, and the agents
+    of the first run can be driven (packages starlette and uvicorn)."""
+    port: int = 8000
+    """Port of the served page; 0 takes a free one."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "port", low=0, high=65535)
+        check_range(self, "episodes", low=2)
+        check_range(self, "seeds", low=0)
+        check_range(self, "megabytes", low=6)

@@ -10,12 +10,11 @@ from rich.table import Table
 
 from envs_jax.optional import MissingPackageError
 from hmasd_jax.analysis.curves import plot_runs
+from hmasd_jax.analysis.learning import LAST, main_metric
+from hmasd_jax.analysis.statistics import few_seeds
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path, seeds_of, write_json
 from hmasd_jax.training.job import Event
-
-LAST = 5
-"""Number of last evaluations that the summary averages, to even out their noise."""
 
 
 def write(run: Path, results: dict[int, Event]) -> None:
@@ -32,26 +31,27 @@ def write(run: Path, results: dict[int, Event]) -> None:
 
 
 def summarize(run: Path, index: int) -> dict[str, Any]:
-    """Return the last evaluation of one seed and the mean of its last few; empty if it has none."""
+    """Return the last evaluation of one seed and the mean of its last few; empty if it has none.
+
+    The mean leaves out the evaluation at step 0, unless there is no other.
+    """
     records = metrics_log.read(metrics_path(run, index))
     evaluations = [record for record in records if record["kind"] == "eval"]
     metric = main_metric(evaluations[-1]) if evaluations else ""
     values = [record[metric] for record in evaluations if metric in record]
     if not values:
         return {}
+    trained = [r[metric] for r in evaluations if metric in r and r["env_steps"] > 0]
+    last = trained[-LAST:] or values
     return {
         "env_steps": records[-1]["env_steps"],
         "wall_seconds": records[-1]["wall_seconds"],
         "metric": metric,
         "final": values[-1],
-        "last_evaluations": float(np.mean(values[-LAST:])),
+        "last_evaluations": float(np.mean(last)),
+        "num_averaged": len(last),
         "best": max(values),
     }
-
-
-def main_metric(evaluation: dict[str, Any]) -> str:
-    """Return the metric that a task is judged by: success if it has one, else the return."""
-    return "success" if "success" in evaluation else "return"
 
 
 def over_seeds(seeds: dict[str, Any]) -> dict[str, float]:
@@ -68,7 +68,10 @@ def table(run: Path) -> Table:
     seeds = {index: summarize(run, index) for index in seeds_of(run)}
     known = {index: seed for index, seed in seeds.items() if seed}
     metric = next(iter(known.values()))["metric"] if known else "success"
-    result = Table("seed", "env steps", f"final {metric}", f"last {LAST} evaluations", "seconds")
+    counts = {seed["num_averaged"] for seed in known.values()} or {LAST}
+    last = f"last {' or '.join(map(str, sorted(counts)))} evaluations"
+    last = "last evaluation" if counts == {1} else last
+    result = Table("seed", "env steps", f"final {metric}", last, "seconds")
     for index, seed in known.items():
         numbers = (f"{seed['final']:.3f}", f"{seed['last_evaluations']:.3f}")
         result.add_row(
@@ -82,6 +85,7 @@ def table(run: Path) -> Table:
         ]
         result.add_section()
         result.add_row("mean ± std", "", *spread, "")
+        result.caption = few_seeds(len(known))
     return result
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 
 from hmasd_jax.cli import summary
+from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import GridOptions, RunOptions, SweepOptions, TrainOptions
 from hmasd_jax.cli.parse import drop_options
 from hmasd_jax.config import TrainConfig, build, from_json, identity, override, to_json
@@ -81,6 +82,8 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
         codes.append(seed_sweep(cell, sweep, line))
         if codes[-1] == INTERRUPTED:
             break
+    if len(codes) == len(cells) and not any(codes):
+        suggest_next("compare", *runs.values())
     return max(codes)
 
 

@@ -4,7 +4,6 @@ A predictor learns the outputs of a fixed random network on the global state. It
 where the state is new. One bonus serves all agents.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,11 +14,12 @@ from flax import linen as nn
 from jaxtyping import Array, Float
 
 from envs_jax import Environment
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.rl.sgd import sgd_epochs
-from hmasd_jax.types import Key, Learner, Metrics
+from hmasd_jax.types import Key, Learner
 from hmasd_jax.validation import check_range
 
 CLIP = 5.0
@@ -54,24 +54,6 @@ class NoveltyState(NamedTuple):
     """Moments of the states seen so far."""
     errors: Moments
     """Moments of the prediction errors so far, which give the bonus its unit."""
-
-
-class Bonus(NamedTuple):
-    """An exploration bonus as three pure functions."""
-
-    init: Callable[[Key], Any]
-    """`init(key)`: state before the first rollout."""
-    reward: Callable[[Any, Float[Array, "B state"]], Float[Array, " B"]]
-    """`reward(bonus_state, states)`: weighted bonus for each state reached."""
-    train: Callable[[Any, Float[Array, "B state"], Key], tuple[Any, Metrics]]
-    """`train(bonus_state, states, key)`: learn from the states of a rollout."""
-
-
-NO_BONUS = Bonus(
-    init=lambda key: (),
-    reward=lambda bonus_state, states: jnp.zeros(states.shape[:-1]),
-    train=lambda bonus_state, states, key: (bonus_state, {}),
-)
 
 
 class Features(nn.Module):

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
@@ -48,7 +48,7 @@ class HMASDState(NamedTuple):
     coordinator_norm: ValueNorm
     discoverer_norm: ValueNorm
     distance: Any = ()
-    novelty: Any = ()
+    bonus: Any = ()
     successes: Any = ()
 
 
@@ -67,10 +67,13 @@ def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
         return train_iteration(parts, state)
 
     def policy(
-        state: HMASDState, greedy: bool = True, skills: Sequence[int | None] | None = None
+        state: HMASDState,
+        greedy: bool = True,
+        skills: Sequence[int | None] | None = None,
+        allowed: Bool[Array, "tokens skills"] | None = None,
     ) -> Policy:
         params = state.coordinator.params, state.discoverer.params
-        return make_policy(parts, *params, greedy, skills)
+        return make_policy(parts, *params, greedy, skills, allowed)
 
     return Algorithm(init, update, policy)
 
@@ -80,7 +83,7 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
     key, key_learners, key_env = jax.random.split(key, 3)
     ppo = parts.config.ppo
     coordinator, discoverer, discriminators = init_learners(parts, key_learners)
-    key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1))
+    key_distance, key_bonus = jax.random.split(jax.random.fold_in(key, 1))
     return HMASDState(
         key=key,
         num_updates=jnp.int32(0),
@@ -92,7 +95,7 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
         coordinator_norm=ValueNorm.create(),
         discoverer_norm=ValueNorm.create(),
         distance=parts.distance.init(key_distance),
-        novelty=parts.novelty.init(key_novelty),
+        bonus=parts.bonus.init(key_bonus),
         successes=parts.imitation.init(),
     )
 
@@ -158,9 +161,9 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
 def exploration_reward(
     parts: Parts, state: HMASDState, steps: SkillSteps
 ) -> tuple[Float[Array, "B N"], Metrics]:
-    """Return the rewards beside Eq. 4: distance along the skills, and novelty of the state."""
+    """Return the rewards beside Eq. 4: distance along the skills, and the bonus."""
     team, individual, metrics = parts.distance.reward(state.distance, steps)
-    bonus = parts.novelty.reward(state.novelty, steps.next_state)
+    bonus = parts.bonus.reward(state.bonus, steps.next_state)
     return individual + (team + bonus)[:, None], metrics
 
 
@@ -223,7 +226,7 @@ def train_exploration(
     discoverer: Learner,
     key: Key,
 ) -> tuple[Learner, dict[str, Any], Metrics]:
-    """Train the parts beside the paper: distance, novelty and imitation, which may all be absent.
+    """Train the parts beside the paper: distance, bonus and imitation, which may all be absent.
 
     Args:
         parts: static components.
@@ -237,17 +240,17 @@ def train_exploration(
     Returns:
         The discoverer, the new fields of the state by name, and metrics.
     """
-    key_store, key_distance, key_novelty = jax.random.split(jax.random.fold_in(key, 1), 3)
+    key_store, key_distance, key_bonus = jax.random.split(jax.random.fold_in(key, 1), 3)
     steps = skill_steps(rollout)
     distance, distance_metrics = parts.distance.train(state.distance, steps, key_distance)
-    novelty, novelty_metrics = parts.novelty.train(state.novelty, steps.next_state, key_novelty)
+    bonus, bonus_metrics = parts.bonus.train(state.bonus, steps.next_state, key_bonus)
     successes, store_metrics = parts.imitation.store(
         state.successes, batch, rollout.transitions, key_store
     )
     discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
-    fields = {"distance": distance, "novelty": novelty, "successes": successes}
+    fields = {"distance": distance, "bonus": bonus, "successes": successes}
     return (
         discoverer,
         fields,
-        distance_metrics | novelty_metrics | store_metrics | imitation_metrics,
+        distance_metrics | bonus_metrics | store_metrics | imitation_metrics,
     )

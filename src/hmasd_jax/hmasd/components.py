@@ -7,7 +7,9 @@ import jax.numpy as jnp
 import optax
 
 from envs_jax import Environment
-from hmasd_jax.exploration.novelty import Bonus, make_novelty
+from hmasd_jax.exploration.bonus import Bonus, add
+from hmasd_jax.exploration.counts import make_counts
+from hmasd_jax.exploration.novelty import make_novelty
 from hmasd_jax.exploration.successes import Imitation, make_imitation
 from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -39,7 +41,7 @@ class Parts:
     discoverer_optimizer: optax.GradientTransformation
     discriminator_optimizer: optax.GradientTransformation
     distance: SkillReward
-    novelty: Bonus
+    bonus: Bonus
     imitation: Imitation
 
 
@@ -70,7 +72,7 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
         distance=make_distance(env, config.num_team_skills, config.num_skills, config.distance),
-        novelty=make_novelty(env, config.novelty),
+        bonus=add(make_novelty(env, config.novelty), make_counts(env, config.counts)),
         imitation=make_imitation(
             env, discoverer, discoverer_optimizer, config.imitation, ppo, has_skills=True
         ),

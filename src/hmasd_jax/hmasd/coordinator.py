@@ -4,7 +4,6 @@ Token 0 stands for the team (state s, team skill Z), token i for agent i (o^i, z
 skills, log-probabilities and values have these 1 + N tokens on their last axis.
 """
 
-from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
@@ -113,7 +112,7 @@ def assign(
     obs: Float[Array, "*batch N obs"],
     key: Key,
     greedy: bool = False,
-    fixed: Sequence[int | None] | None = None,
+    allowed: Bool[Array, "tokens skills"] | None = None,
 ) -> Assignment:
     """Algorithm 1, "Sample skills": draw Z ~ pi_h(.|s, o), then each z^i given those before it.
 
@@ -124,7 +123,7 @@ def assign(
         obs: observations of all agents.
         key: PRNG key of the draws.
         greedy: if True, take the most likely skills instead of sampling.
-        fixed: skills of tokens (1 + N,) that are given; None where one must be drawn.
+        allowed: skills that each token may get, at least one per token; None allows all.
     """
     encoded, value = apply(network, params, state, obs, method="encode")
 
@@ -133,7 +132,7 @@ def assign(
 
     # Illegal skills have probability 0, so every draw is legal.
     greedy = greedy and not network.always_samples
-    skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, fixed)
+    skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, allowed)
     return Assignment(skills=skills, log_prob=log_prob, value=value)
 
 

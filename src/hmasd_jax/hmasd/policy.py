@@ -30,6 +30,7 @@ def make_policy(
     discoverer: dict,
     greedy: bool,
     skills: Sequence[int | None] | None = None,
+    allowed: Bool[Array, "tokens skills"] | None = None,
 ) -> Policy:
     """Build a policy with new skills at episode steps 0, k, 2k, and so on.
 
@@ -42,12 +43,15 @@ def make_policy(
         greedy: if True, take the most probable skills and actions instead of sampling.
         skills: (Z, z^1, .., z^N) to follow instead of the coordinator's choice, to inspect what
             was learned. The coordinator still chooses those that are None, given those before.
+        allowed: skills that the coordinator may give to the team and to each agent, at least one
+            per token. It is an array, so that one compiled program holds or removes any skill.
 
     Raises:
         ValueError: wrong number of skills, or a skill that does not exist.
     """
     config, num_agents = parts.config, parts.env.num_agents
-    fixed = check_skills(parts, skills)
+    if skills is not None:
+        allowed = only(parts, skills)
 
     def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
         memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
@@ -59,7 +63,7 @@ def make_policy(
         clock = jnp.where(first, 0, memory.clock)
         renewed = clock % config.skill_interval == 0
         assignment = renew(
-            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, fixed
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy, allowed
         )
         actor, distribution = parts.discoverer.act(
             discoverer, memory.actor, timestep.obs, timestep.action_mask, first,
@@ -72,12 +76,8 @@ def make_policy(
     return Policy(init, step)
 
 
-def check_skills(
-    parts: Parts, skills: Sequence[int | None] | None
-) -> tuple[int | None, ...] | None:
-    """Return `skills` as a tuple, after checking that there is one per token and each exists."""
-    if skills is None:
-        return None
+def only(parts: Parts, skills: Sequence[int | None]) -> Bool[Array, "tokens skills"]:
+    """Allow one skill per token, or all where it is None, after checking that each exists."""
     counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents
     if len(skills) != len(counts):
         raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
@@ -85,4 +85,5 @@ def check_skills(
         if skill is not None and not 0 <= skill < count:
             name = f"skill of agent {token}" if token else "team skill"
             raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
-    return tuple(skills)
+    index = jnp.arange(parts.coordinator.max_skills)
+    return jnp.stack([(index >= 0) if skill is None else index == skill for skill in skills])

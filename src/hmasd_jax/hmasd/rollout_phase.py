@@ -1,6 +1,5 @@
 """Algorithm 1, inference phase: assign skills every k steps and act on them in between."""
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -149,13 +148,13 @@ def renew(
     renewed: Bool[Array, "*batch"],
     key: Key,
     greedy: bool,
-    fixed: Sequence[int | None] | None = None,
+    allowed: Bool[Array, "tokens skills"] | None = None,
 ) -> Assignment:
     """Return a fresh assignment where `renewed`, and the current one elsewhere."""
 
     def draw() -> Assignment:
         state, obs = timestep.state, timestep.obs
-        fresh = assign(parts.coordinator, params, state, obs, key, greedy, fixed)
+        fresh = assign(parts.coordinator, params, state, obs, key, greedy, allowed)
         return jax.tree.map(
             lambda new, old: jnp.where(renewed[..., None], new, old), fresh, current
         )

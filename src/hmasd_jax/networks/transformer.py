@@ -5,12 +5,12 @@ that feed a GELU are orthogonal with gain sqrt(2); all others have gain 0.01.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import jax
 import jax.numpy as jnp
 from flax import linen as nn
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense
 from hmasd_jax.networks.recurrent import RELU_GAIN, SMALL_GAIN, dense
@@ -165,7 +165,7 @@ def draw_in_turn(
     shape: tuple[int, ...],
     key: Key,
     greedy: bool = False,
-    fixed: Sequence[int | None] | None = None,
+    allowed: Bool[Array, "tokens choices"] | None = None,
 ) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
     """Choose for one token after another, each given the choices before it.
 
@@ -175,21 +175,20 @@ def draw_in_turn(
         shape: (*batch, tokens).
         key: PRNG key of the draws.
         greedy: if True, take the most likely choice instead of sampling.
-        fixed: choices that are given, per token; None where one must be made.
+        allowed: choices that each token may make, at least one per token; None allows all. A
+            token makes an illegal choice if no other is allowed.
 
     Returns:
-        Choices and their log-probabilities.
+        Choices, and their log-probabilities among all choices.
     """
-    if fixed is not None:
-        is_fixed = jnp.array([choice is not None for choice in fixed])
-        fixed_choice = jnp.array([choice or 0 for choice in fixed])
 
     def draw(choices, inputs):
         token, key = inputs
-        distribution = categorical(jnp.take(decode(choices), token, axis=-2))
-        choice = distribution.mode() if greedy else distribution.sample(seed=key)
-        if fixed is not None:
-            choice = jnp.where(is_fixed[token], fixed_choice[token], choice)
+        logits = jnp.take(decode(choices), token, axis=-2)
+        distribution = limited = categorical(logits)
+        if allowed is not None:  # Below the finite logit of illegal choices.
+            limited = categorical(jnp.where(allowed[token], logits, -jnp.inf))
+        choice = limited.mode() if greedy else limited.sample(seed=key)
         return choices.at[..., token].set(choice), distribution.log_prob(choice)
 
     tokens = shape[-1]

@@ -4,7 +4,7 @@
 - `run.json`: commands, commit, versions and hardware.
 - `seed_<i>/metrics.jsonl`: the records of training and evaluation.
 - `seed_<i>/checkpoints/<env steps>.npz`: the newest checkpoints.
-- `summary.json` and `curves.png`, at the end of the run.
+- `summary.json`, `curves.png` and its numbers `curves.csv`, at the end of the run.
 """
 
 import json

@@ -161,6 +161,15 @@ def read(path: Path) -> list[Record]:
     return [record for _, record in log.records]
 
 
+def find_damage(path: Path) -> str | None:
+    """Return the start of a sentence about damaged lines, or None if there are none.
+
+    Raises:
+        RunError: The file cannot be read.
+    """
+    return _tell(path, _read_lines(path))
+
+
 def keep_until(path: Path, env_steps: int) -> str | None:
     """Move the records after `env_steps`, which resumed training writes again, to another file.
 

@@ -2,10 +2,17 @@
 
 import ctypes
 import math
+import os
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import jax
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None
 
 WORKER_BYTES = 2 * 2**30
 """Peak memory of a worker, reached while it compiles (1.9 GiB measured for HMASD)."""
@@ -27,6 +34,30 @@ def keep_freed() -> None:
         return
     mallopt(M_TRIM_THRESHOLD, -1)
     mallopt(M_MMAP_MAX, 0)
+
+
+def predicted_peak(program_bytes: int) -> int:
+    """Return the resident memory that this process will reach, in bytes.
+
+    `ps` and `top` call it RSS. It includes Python, JAX and what compilation has taken.
+
+    Args:
+        program_bytes: Memory of arguments, results and temporaries of the programs to run. They
+            are in this process on a CPU, and on the device otherwise.
+    """
+    highest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if resource else 0
+    highest *= 1 if sys.platform == "darwin" else 1024  # Bytes there, KiB elsewhere.
+    on_host = program_bytes if jax.default_backend() == "cpu" else 0
+    return max(highest, _resident_bytes() + on_host)
+
+
+def _resident_bytes() -> int:
+    """Return the memory of this process now; 0 if the system does not tell."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def available_bytes() -> float:

@@ -72,7 +72,12 @@ def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
         programs = _programs(job, size)
         seconds, memory_bytes = programs.compile_seconds, programs.memory_bytes
         for seed in batch:
-            seed.report("compiled", seconds=seconds, memory_bytes=memory_bytes)
+            seed.report(
+                "compiled",
+                seconds=seconds,
+                memory_bytes=memory_bytes,
+                peak_bytes=host_memory.predicted_peak(memory_bytes),
+            )
         Batch(job, programs, batch, env_steps).train()
 
 

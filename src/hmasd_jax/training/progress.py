@@ -11,7 +11,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from hmasd_jax.training.job import ENDS, Event
 
 SHOWN = {
-    "success": "success {:.0%}",
+    "success": "training success {:.0%}",
     "coordinator/team_entropy": "H(Z) {:.2f}",
     "coordinator/skill_entropy": "H(z) {:.2f}",
     "discriminators/team_accuracy": "q_D {:.0%}",
@@ -98,21 +98,20 @@ class Display:
 
     def _start(self, event: Event, track: Track) -> None:
         track.env_steps = event.data["env_steps"]
-        if track.env_steps:
-            self._print(f"seed {event.seed}: resuming from env step {track.env_steps:,}")
-        else:
-            self._print(f"seed {event.seed}: fresh")
+        start = f"resuming from env step {track.env_steps:,}" if track.env_steps else "fresh"
+        self._print(f"seed {event.seed}: {start}")
         description = f"seed {event.seed}"
         track.task = self._progress.add_task(description, total=self._total, text="compiling")
 
     def _show_compilation(self, event: Event) -> None:
         if not self._compiled:
             self._compiled = True
-            seconds, size = event.data["seconds"], event.data["memory_bytes"]
-            mebibytes = math.ceil(size / 2**20)
+            seconds, peak, arrays = (
+                event.data[name] for name in ("seconds", "peak_bytes", "memory_bytes")
+            )
             self._print(
-                f"compiled in {seconds:.0f} s; predicted memory {mebibytes:,} MiB per process, "
-                "beside jax and its compiler"
+                f"compiled in {seconds:.0f} s; predicted memory {mebibytes(peak):,} MiB per "
+                f"process, of which arrays of the programs {mebibytes(arrays):,} MiB"
             )
 
     def _take_record(self, event: Event, track: Track) -> None:
@@ -131,7 +130,8 @@ class Display:
         if not self._live and (event.kind == "eval" or due):
             self._last_line = time.monotonic()
             text = f"seed {event.seed}: {track.env_steps:,} env steps, {self._describe(track)}"
-            self._print(f"{text}; all seeds {self._describe_all()}")
+            everyone = self._describe_all()
+            self._print(text + f"; all seeds {everyone}" * bool(everyone))
 
     def _end(self, event: Event, track: Track) -> None:
         track.ended = True
@@ -158,9 +158,9 @@ class Display:
             text.format(track.train[name]) for name, text in SHOWN.items() if name in track.train
         ]
         if "success" in track.eval:
-            parts.append(f"eval {track.eval['success']:.0%}")
+            parts.append(f"evaluation {100 * track.eval['success']:.0f} %")
         elif "return" in track.eval:
-            parts.append(f"eval return {track.eval['return']:.2f}")
+            parts.append(f"evaluation return {track.eval['return']:.2f}")
         return "  ".join(parts)
 
     def _describe_all(self) -> str:
@@ -174,6 +174,11 @@ class Display:
 
     def _print(self, text: str) -> None:
         self._console.print(text, markup=False, highlight=False, soft_wrap=True)
+
+
+def mebibytes(size: int) -> int:
+    """Return a size in bytes as MiB, rounded up."""
+    return math.ceil(size / 2**20)
 
 
 def clock(seconds: float) -> str:

@@ -1,0 +1,210 @@
+"""Live page: the report on loopback, made again while a run trains, and agents to drive.
+
+Nothing is written, no file is served, and only this machine is answered.
+"""
+
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs
+
+from envs_jax.optional import require
+from hmasd_jax.report.drive import Driver
+from hmasd_jax.report.page import check_packages, gather_runs, render_page
+from hmasd_jax.runs.checkpoint import CheckpointError
+from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path, read_config, seeds_of
+from hmasd_jax.validation import ConfigError
+
+if TYPE_CHECKING:
+    from starlette.applications import Starlette
+    from starlette.requests import Request
+
+LOOPBACK = "127.0.0.1"
+WAITING = """<!DOCTYPE html><meta http-equiv="refresh" content="2"><meta name="viewport"
+content="width=device-width"><meta name="color-scheme" content="light dark"><title>Report</title>
+<body style="font-family: system-ui"><p>{}</p>"""
+LOOK_EVERY = 2.0
+"""Seconds between two looks for new records and checkpoints."""
+LARGEST_FORM = 10_000
+"""Bytes of a form that are read at most."""
+
+
+class LiveReport:
+    """The newest page of runs, made again by a thread when their files have changed."""
+
+    def __init__(self, runs: Sequence[Path], make: Callable[[str], str]) -> None:
+        """Prepare a report.
+
+        Args:
+            runs: Folders of runs.
+            make: Function from the version of the page to its HTML.
+        """
+        self._runs, self._make = [Path(run) for run in runs], make
+        self.version: str = ""
+        self.page: str = WAITING.format("The report is being made. This page waits for it.")
+
+    def look(self) -> bool:
+        """Make the page again if files have changed; return whether they have."""
+        version = self._fingerprint()
+        if version == self.version:
+            return False
+        try:
+            page = self._make(version)
+        except (RunError, CheckpointError, ConfigError) as error:
+            self.page = WAITING.format(f"The report cannot be made: {escape(str(error))}.")
+            return False
+        self.version, self.page = version, page
+        return True
+
+    def watch(self) -> None:
+        """Look again and again, for ever."""
+        while True:
+            self.look()
+            time.sleep(LOOK_EVERY)
+
+    def _fingerprint(self) -> str:
+        """Return a text that changes with every new record and checkpoint."""
+        parts = []
+        for run in self._runs:
+            for seed in seeds_of(run):
+                metrics, folder = metrics_path(run, seed), checkpoint_folder(run, seed)
+                size = metrics.stat().st_size if metrics.is_file() else 0
+                names = sorted(path.name for path in folder.glob("*.npz"))
+                parts.append(f"{seed}.{size}.{names[-1] if names else 0}")
+        return "-".join(parts) or "empty"
+
+
+def make_app(live: LiveReport, make_driver: Callable[[], Driver]) -> "Starlette":
+    """Build the web application."""
+    from starlette.applications import Starlette
+    from starlette.concurrency import run_in_threadpool
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.responses import HTMLResponse, PlainTextResponse
+    from starlette.routing import Route
+
+    drivers: list[Driver] = []
+    lock = threading.Lock()
+
+    def drive(form: dict[str, list[str]] | None) -> str:
+        with lock:
+            if not drivers:
+                drivers.append(make_driver())
+            if form is not None:
+                answer_form(drivers[0], form)
+            return drivers[0].show()
+
+    async def show_report(request: "Request") -> Any:
+        return HTMLResponse(live.page)
+
+    async def show_version(request: "Request") -> Any:
+        return PlainTextResponse(live.version)
+
+    async def show_drive(request: "Request") -> Any:
+        form = None
+        if request.method == "POST":
+            body = await request.body()
+            form = parse_qs(body[:LARGEST_FORM].decode(errors="replace"), keep_blank_values=True)
+        try:
+            return HTMLResponse(await run_in_threadpool(drive, form))
+        except (RunError, CheckpointError, ConfigError) as error:
+            return PlainTextResponse(f"error: {error}", status_code=400)
+
+    return Starlette(
+        routes=[
+            Route("/", show_report),
+            Route("/version", show_version),
+            Route("/drive", show_drive, methods=["GET", "POST"]),
+        ],
+        # Other sites that resolve their name to this machine are not answered.
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[LOOPBACK, "localhost"])],
+    )
+
+
+def answer_form(driver: Driver, form: dict[str, list[str]]) -> None:
+    """Do what a form asks for.
+
+    Raises:
+        ConfigError: A skill is not a number or does not exist.
+    """
+    if form.get("act") == ["restart"]:
+        driver.restart()
+        return
+    words = [form.get(f"skill{token}", [""])[0] for token in range(driver.num_tokens)]
+    if any(word and not word.isdecimal() for word in words):
+        raise ConfigError(f"skills must be whole numbers, got {', '.join(words)}")
+    driver.play([int(word) if word else None for word in words])
+
+
+def bind(port: int) -> socket.socket:
+    """Return a socket on loopback.
+
+    Raises:
+        RunError: The port is busy.
+    """
+    bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        bound.bind((LOOPBACK, port))
+    except OSError as error:
+        bound.close()
+        reason = error.strerror or error
+        raise RunError(f"cannot serve on port {port} ({reason}): choose another --port") from error
+    return bound
+
+
+def serve(
+    runs: Sequence[Path],
+    port: int = 8000,
+    episodes: int = 100,
+    num_seeds: int = 3,
+    megabytes: float = 15.0,
+    solved_at: float | None = None,
+) -> None:
+    """Serve the report of runs on loopback until interrupted.
+
+    Args:
+        runs: Folders of runs; the agents of the first can be driven.
+        port: Port on 127.0.0.1.
+        episodes: As in `write_report`.
+        num_seeds: As in `write_report`.
+        megabytes: As in `write_report`.
+        solved_at: As in `write_report`.
+
+    Raises:
+        MissingPackageError: A package of the extra `serve` is not installed.
+        RunError: A folder is not the folder of a run, or the port is busy.
+    """
+    check_packages()
+    for package in ("starlette", "uvicorn"):
+        require(package, "serve", "a live report")
+    import uvicorn
+
+    runs = [Path(run) for run in runs]
+    for run in runs:
+        read_config(run)  # raises the errors
+    bound = bind(port)
+
+    def make(version: str) -> str:
+        found = gather_runs(runs, episodes, num_seeds, solved_at, iter)
+        return render_page(found, megabytes, live=version)
+
+    live = LiveReport(runs, make)
+    threading.Thread(target=live.watch, daemon=True).start()
+    app = make_app(live, partial(_first_driver, runs[0]))
+    print(f"http://{LOOPBACK}:{bound.getsockname()[1]} (Ctrl-C stops it)", flush=True)
+    with bound:
+        uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[bound])
+
+
+def _first_driver(run: Path) -> Driver:
+    """Return a driver of the first seed that has a checkpoint."""
+    seeds = [seed for seed in seeds_of(run) if any(checkpoint_folder(run, seed).glob("*.npz"))]
+    if not seeds:
+        raise RunError(f"{run} has no checkpoint to drive yet: wait for the first one")
+    return Driver(run, seeds[0])
