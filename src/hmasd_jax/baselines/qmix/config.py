@@ -52,7 +52,8 @@ class QLearningConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "num_envs", "rollout_length", "gradient_steps", "batch_size", low=1)
-        check_range(self, "buffer_size", "target_interval", "hidden_size", low=1)
+        check_range(self, "buffer_size", "target_interval", low=1)
+        check_range(self, "hidden_size", low=1, high=2**16)
         check_range(self, "learning_rate", "rms_epsilon", "max_grad_norm", "epsilon_steps", low=0)
         check_range(self, "rms_decay", "discount", "epsilon_start", "epsilon_end", low=0, high=1)
         if self.buffer_size < self.batch_size:
