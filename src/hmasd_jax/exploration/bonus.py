@@ -29,7 +29,11 @@ NO_BONUS = Bonus(
 
 
 def add(first: Bonus, second: Bonus) -> Bonus:
-    """Return the sum of two bonuses. Its state is the pair of theirs."""
+    """Return the sum of two bonuses. Its state is the pair of theirs, if both pay anything."""
+    if first is NO_BONUS:
+        return second
+    if second is NO_BONUS:
+        return first
 
     def init(key: Key):
         keys = jax.random.split(key)
