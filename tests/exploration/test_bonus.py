@@ -6,26 +6,31 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, add
+from tests.helpers.rollouts import outcome_of
 
-STATES = jnp.arange(6.0).reshape(3, 2)
+OUTCOME = outcome_of(jnp.arange(12.0).reshape(3, 2, 2))
 
 
 def constant(value, name):
     """Return a bonus that counts its rollouts and pays `value` times that number."""
     return Bonus(
         init=lambda key: jnp.float32(1),
-        reward=lambda count, states: jnp.full(len(states), value * count),
-        train=lambda count, states, key: (count + 1, {name: count}),
+        update=lambda count, outcome, key: (
+            count + 1,
+            jnp.full(outcome.reward.shape, value * count),
+            {name: count},
+        ),
     )
 
 
-def test_the_sum_pays_both_and_trains_each_on_its_own_state():
+def test_the_sum_pays_both_and_updates_each_on_its_own_state():
     both = add(constant(2.0, "a"), constant(3.0, "b"))
     state = both.init(jax.random.key(0))
-    assert_allclose(both.reward(state, STATES), 5.0)
-    state, metrics = both.train(state, STATES, jax.random.key(1))
+    state, reward, metrics = both.update(state, OUTCOME, jax.random.key(1))
     assert metrics == {"a": 1, "b": 1}
-    assert_allclose(both.reward(state, STATES), 10.0)
+    assert_allclose(reward, jnp.full((3, 2), 5.0))
+    _, reward, _ = both.update(state, OUTCOME, jax.random.key(2))
+    assert_allclose(reward, 10.0)
 
 
 @pytest.mark.parametrize("other", [constant(2.0, "a"), NO_BONUS])

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.counts import CountsConfig, make_counts
+from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import (
@@ -52,8 +52,9 @@ class MAPPOConfig:
     choice of actions, such as the dead."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
     """Bonus for states not seen before, in units of the team reward. The paper has none."""
-    counts: CountsConfig = field(default_factory=CountsConfig)
-    """Bonus for rare values of single features, in units of the team reward. The paper has none."""
+    frontier: FrontierConfig = field(default_factory=FrontierConfig)
+    """Bonus for values of single features that few episodes reach, in units of the team reward. The
+    paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
@@ -124,7 +125,10 @@ def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
         config=config,
         networks=networks,
         optimizer=optimizer,
-        bonus=add(make_novelty(env, config.novelty), make_counts(env, config.counts)),
+        bonus=add(
+            make_novelty(env, config.novelty),
+            make_frontier(env, config.frontier, config.ppo.num_envs),
+        ),
         imitation=make_imitation(
             env, networks, optimizer, config.imitation, config.ppo, has_skills=False
         ),
@@ -215,7 +219,12 @@ def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
 
 
 def make_batch(
-    parts: Parts, state: MAPPOState, transitions: Transition, env: EnvCarry, memory: Array
+    parts: Parts,
+    state: MAPPOState,
+    transitions: Transition,
+    env: EnvCarry,
+    memory: Array,
+    bonus: Float[Array, "T E"],
 ) -> SequenceBatch:
     """Compute advantages and targets of a rollout, and cut it into sequences of L steps.
 
@@ -225,6 +234,7 @@ def make_batch(
         transitions: (T, E, ...), with `Extras`.
         env: the copies after the last step.
         memory: memory of the critic after the last step.
+        bonus: exploration bonus of each step, beside the team reward.
     """
     params, extras, outcome = state.learner.params, transitions.extras, transitions.outcome
     timestep, config = transitions.timestep, parts.config
@@ -236,10 +246,8 @@ def make_batch(
         never = jnp.zeros_like(outcome.done)
         return parts.networks.value(params, after, critic_input(config, outcome), never)[1]
 
-    bonus = parts.bonus.reward(state.bonus, rollouts.flatten(outcome.state))
-    reward = outcome.reward + bonus.reshape(outcome.reward.shape)
     advantage, target = rollout_advantage(
-        reward[..., None], extras.value, last_value, outcome, value_of_outcome,
+        (outcome.reward + bonus)[..., None], extras.value, last_value, outcome, value_of_outcome,
         state.norm, config.ppo,
     )  # fmt: skip
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
@@ -279,15 +287,15 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         parts.env, act_and_evaluate(parts, state.learner.params),
         state.env, state.memory, key_rollout, ppo.rollout_length,
     )  # fmt: skip
-    batch = make_batch(parts, state, transitions, env, memory.critic)
+    key_bonus, key_store = jax.random.split(jax.random.fold_in(key, 1))
+    bonus_state, bonus, bonus_metrics = parts.bonus.update(
+        state.bonus, transitions.outcome, key_bonus
+    )
+    batch = make_batch(parts, state, transitions, env, memory.critic, bonus)
     learner, norm, metrics = ppo_epochs(
         parts.optimizer, partial(mappo_loss, parts), state.learner, state.norm, batch, key_epochs,
         ppo,
     )  # fmt: skip
-    key_bonus, key_store = jax.random.split(jax.random.fold_in(key, 1))
-    bonus, bonus_metrics = parts.bonus.train(
-        state.bonus, rollouts.flatten(transitions.outcome.state), key_bonus
-    )
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
     learner, imitation_metrics = parts.imitation.train(successes, learner)
     explore_metrics = bonus_metrics | store_metrics | imitation_metrics
@@ -299,7 +307,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         memory=memory,
         learner=learner,
         norm=norm,
-        bonus=bonus,
+        bonus=bonus_state,
         successes=successes,
     )
     return next_state, metrics | rollouts.rollout_metrics(transitions.outcome)

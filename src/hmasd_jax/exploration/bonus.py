@@ -7,24 +7,23 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
 class Bonus(NamedTuple):
-    """An exploration bonus as three pure functions."""
+    """An exploration bonus as two pure functions."""
 
     init: Callable[[Key], Any]
     """`init(key)`: state before the first rollout."""
-    reward: Callable[[Any, Float[Array, "B state"]], Float[Array, " B"]]
-    """`reward(bonus_state, states)`: weighted bonus for each state reached in a rollout."""
-    train: Callable[[Any, Float[Array, "B state"], Key], tuple[Any, Metrics]]
-    """`train(bonus_state, states, key)`: learn from the states of a rollout."""
+    update: Callable[[Any, TimeStep, Key], tuple[Any, Float[Array, "T E"], Metrics]]
+    """`update(bonus_state, outcome, key)`: the next state, the weighted bonus for each state that a
+    rollout reached, and metrics. `outcome` is (T, E), before any reset."""
 
 
 NO_BONUS = Bonus(
     init=lambda key: (),
-    reward=lambda bonus_state, states: jnp.zeros(states.shape[:-1]),
-    train=lambda bonus_state, states, key: (bonus_state, {}),
+    update=lambda bonus_state, outcome, key: (bonus_state, jnp.zeros_like(outcome.reward), {}),
 )
 
 
@@ -39,13 +38,10 @@ def add(first: Bonus, second: Bonus) -> Bonus:
         keys = jax.random.split(key)
         return first.init(keys[0]), second.init(keys[1])
 
-    def reward(pair, states):
-        return first.reward(pair[0], states) + second.reward(pair[1], states)
-
-    def train(pair, states, key: Key):
+    def update(pair, outcome: TimeStep, key: Key):
         keys = jax.random.split(key)
-        one, metrics = first.train(pair[0], states, keys[0])
-        other, more = second.train(pair[1], states, keys[1])
-        return (one, other), metrics | more
+        one, reward, metrics = first.update(pair[0], outcome, keys[0])
+        other, more_reward, more_metrics = second.update(pair[1], outcome, keys[1])
+        return (one, other), reward + more_reward, metrics | more_metrics
 
-    return Bonus(init, reward, train)
+    return Bonus(init, update)

@@ -13,10 +13,11 @@ import optax
 from flax import linen as nn
 from jaxtyping import Array, Float
 
-from envs_jax import Environment
+from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
 from hmasd_jax.rl import moments
+from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.rl.sgd import sgd_epochs
 from hmasd_jax.types import Key, Learner
@@ -89,12 +90,10 @@ def make_novelty(env: Environment, config: NoveltyConfig) -> Bonus:
             errors=Moments.create(),
         )
 
-    def reward(novelty: NoveltyState, states):
+    def update(novelty: NoveltyState, outcome: TimeStep, key: Key):
+        states = rollouts.flatten(outcome.state)
         errors, error_moments = measure(novelty, states)
-        return config.coef * errors / jnp.sqrt(error_moments.variance + 1e-8)
-
-    def train(novelty: NoveltyState, states, key: Key):
-        errors, error_moments = measure(novelty, states)
+        reward = config.coef * errors / jnp.sqrt(error_moments.variance + 1e-8)
         seen = novelty._replace(inputs=moments.update(novelty.inputs, states), errors=error_moments)
 
         def step(learner, states):
@@ -103,9 +102,10 @@ def make_novelty(env: Environment, config: NoveltyConfig) -> Bonus:
             return Learner(optax.apply_updates(learner.params, updates), opt_state), {}
 
         predictor, _ = sgd_epochs(step, novelty.predictor, states, key, config.epochs, 1)
-        return seen._replace(predictor=predictor), {"novelty_error": errors.mean()}
+        metrics = {"novelty_error": errors.mean()}
+        return seen._replace(predictor=predictor), reward.reshape(outcome.reward.shape), metrics
 
-    return Bonus(init, reward, train)
+    return Bonus(init, update)
 
 
 def measure(novelty: NoveltyState, states: Float[Array, "B state"]):

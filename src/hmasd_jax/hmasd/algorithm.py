@@ -19,7 +19,6 @@ from hmasd_jax.hmasd.discriminators import (
     log_q_of_skills,
     observe,
 )
-from hmasd_jax.hmasd.distance import SkillSteps
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.hmasd.rollout_phase import (
@@ -123,25 +122,26 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     )
     team_reward = rollout.transitions.outcome.reward
     reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
-    extra_reward, explore_metrics = exploration_reward(parts, state, skill_steps(rollout))
-    reward = (reward + extra_reward).reshape(*team_reward.shape, -1)
+    bonus_state, extra_reward, bonus_metrics = exploration_reward(
+        parts, state, rollout, jax.random.fold_in(key, 2)
+    )
+    reward = reward.reshape(*team_reward.shape, -1) + extra_reward
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
-    discoverer, explored, more_metrics = train_exploration(
+    discoverer, explored, explore_metrics = train_exploration(
         parts, state, rollout, low, discoverer, key
     )
-    explore_metrics |= more_metrics
     metrics = {
         **rollouts.rollout_metrics(rollout.transitions.outcome),
         "low_reward": reward.mean(),
         **{f"discriminators/{k}": v for k, v in (q_metrics | d_metrics).items()},
         **{f"coordinator/{k}": v for k, v in high_metrics.items()},
         **{f"discoverer/{k}": v for k, v in low_metrics.items()},
-        **{f"exploration/{k}": v for k, v in explore_metrics.items()},
+        **{f"exploration/{k}": v for k, v in (bonus_metrics | explore_metrics).items()},
     }
     next_state = HMASDState(
         key=key,
@@ -153,18 +153,24 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         discriminators=discriminators,
         coordinator_norm=coordinator_norm,
         discoverer_norm=discoverer_norm,
+        bonus=bonus_state,
         **explored,
     )
     return next_state, metrics
 
 
 def exploration_reward(
-    parts: Parts, state: HMASDState, steps: SkillSteps
-) -> tuple[Float[Array, "B N"], Metrics]:
-    """Return the rewards beside Eq. 4: distance along the skills, and the bonus."""
-    team, individual, metrics = parts.distance.reward(state.distance, steps)
-    bonus = parts.bonus.reward(state.bonus, steps.next_state)
-    return individual + (team + bonus)[:, None], metrics
+    parts: Parts, state: HMASDState, rollout: Rollout, key: Key
+) -> tuple[Any, Float[Array, "T E N"], Metrics]:
+    """Return the next state of the bonus, the rewards beside Eq. 4, and metrics.
+
+    The rewards are distance along the skills, and the bonus.
+    """
+    outcome = rollout.transitions.outcome
+    team, individual, metrics = parts.distance.reward(state.distance, skill_steps(rollout))
+    bonus_state, bonus, bonus_metrics = parts.bonus.update(state.bonus, outcome, key)
+    distance = (individual + team[:, None]).reshape(*bonus.shape, -1)
+    return bonus_state, distance + bonus[..., None], metrics | bonus_metrics
 
 
 def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float | Float[Array, ""]:
@@ -226,7 +232,7 @@ def train_exploration(
     discoverer: Learner,
     key: Key,
 ) -> tuple[Learner, dict[str, Any], Metrics]:
-    """Train the parts beside the paper: distance, bonus and imitation, which may all be absent.
+    """Train the parts beside the paper: distance and imitation, which may both be absent.
 
     Args:
         parts: static components.
@@ -240,17 +246,13 @@ def train_exploration(
     Returns:
         The discoverer, the new fields of the state by name, and metrics.
     """
-    key_store, key_distance, key_bonus = jax.random.split(jax.random.fold_in(key, 1), 3)
-    steps = skill_steps(rollout)
-    distance, distance_metrics = parts.distance.train(state.distance, steps, key_distance)
-    bonus, bonus_metrics = parts.bonus.train(state.bonus, steps.next_state, key_bonus)
+    key_store, key_distance = jax.random.split(jax.random.fold_in(key, 1))
+    distance, distance_metrics = parts.distance.train(
+        state.distance, skill_steps(rollout), key_distance
+    )
     successes, store_metrics = parts.imitation.store(
         state.successes, batch, rollout.transitions, key_store
     )
     discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
-    fields = {"distance": distance, "bonus": bonus, "successes": successes}
-    return (
-        discoverer,
-        fields,
-        distance_metrics | bonus_metrics | store_metrics | imitation_metrics,
-    )
+    fields = {"distance": distance, "successes": successes}
+    return discoverer, fields, distance_metrics | store_metrics | imitation_metrics

@@ -8,7 +8,7 @@ import optax
 
 from envs_jax import Environment
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.counts import make_counts
+from hmasd_jax.exploration.frontier import make_frontier
 from hmasd_jax.exploration.novelty import make_novelty
 from hmasd_jax.exploration.successes import Imitation, make_imitation
 from hmasd_jax.hmasd.ablations import make_coordinator
@@ -72,7 +72,9 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
         distance=make_distance(env, config.num_team_skills, config.num_skills, config.distance),
-        bonus=add(make_novelty(env, config.novelty), make_counts(env, config.counts)),
+        bonus=add(
+            make_novelty(env, config.novelty), make_frontier(env, config.frontier, ppo.num_envs)
+        ),
         imitation=make_imitation(
             env, discoverer, discoverer_optimizer, config.imitation, ppo, has_skills=True
         ),

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.exploration.counts import CountsConfig
+from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
@@ -84,8 +84,8 @@ class HMASDConfig:
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
     """Bonus for states not seen before. The paper has none."""
-    counts: CountsConfig = field(default_factory=CountsConfig)
-    """Bonus for rare values of single features. The paper has none."""
+    frontier: FrontierConfig = field(default_factory=FrontierConfig)
+    """Bonus for values of single features that few episodes reach. The paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)

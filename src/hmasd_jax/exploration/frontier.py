@@ -1,0 +1,181 @@
+"""Exploration bonus for values of single features that few episodes reach.
+
+An episode is paid when a feature of the state takes a value for the first time in it: an enemy with
+less health than before, a pot with a third onion, a diamond that is gone. Each feature is counted
+by itself, the coarsest of the projections of the state that CMAE counts in (Liu et al., ICML 2021).
+Whole states are all new, and the prediction error of a network on them is dominated by features
+that always vary. Paying only first visits of an episode is the restriction of NovelD (Zhang et al.,
+NeurIPS 2021). Without it, waiting in a rare state pays.
+
+A value that a share p of the episodes reaches is worth 1 / sqrt(p) - 1. Here p is the largest share
+so far, measured over recent rollouts: what the team has mastered once pays nothing from then on, so
+that only the frontier of what it can do is left. A share that may fall again would pay for leaving
+the solution of a task to do what has become rare.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float, Int
+
+from envs_jax import Environment, TimeStep
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus
+from hmasd_jax.rl import moments
+from hmasd_jax.rl.moments import Moments
+from hmasd_jax.types import Key
+from hmasd_jax.validation import check_range
+
+
+@dataclass(frozen=True)
+class FrontierConfig:
+    """Settings of the bonus."""
+
+    coef: float = 0.0
+    """Weight of the bonus in the reward, in standard deviations of all bonuses so far. With 0 there
+    is none."""
+    num_bins: int = 20
+    """Bins per feature, between the smallest and the largest value so far."""
+    largest_worth: float = 5.0
+    """Most that one value is worth. It keeps accidents from outweighing everything else."""
+    window: int = 20
+    """Rollouts over which the share of episodes is averaged, with exponential weights."""
+
+    def __post_init__(self) -> None:
+        check_range(self, "coef", "largest_worth", low=0)
+        check_range(self, "num_bins", low=2)
+        check_range(self, "window", low=1)
+
+
+class Frontier(NamedTuple):
+    """State of the bonus for E copies of the environment."""
+
+    low: Float[Array, " state"]
+    """Smallest value of each feature so far."""
+    high: Float[Array, " state"]
+    """Largest value of each feature so far."""
+    reached: Float[Array, "state bins"]
+    """Number of recent episodes that reached each bin."""
+    episodes: Float[Array, ""]
+    """Number of recent episodes."""
+    mastered: Float[Array, "state bins"]
+    """Largest share of episodes so far that reached each bin."""
+    visited: Bool[Array, "E state bins"]
+    """Bins that the episode under way has visited."""
+    bonuses: Moments
+    """Moments of the bonuses so far, which give the bonus its unit."""
+
+
+def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bonus:
+    """Build the bonus for `num_envs` copies of `env`."""
+    if config.coef == 0:
+        return NO_BONUS
+
+    def init(key: Key) -> Frontier:
+        del key
+        bins = (env.state_dim, config.num_bins)
+        return Frontier(
+            low=jnp.full(env.state_dim, jnp.inf),
+            high=jnp.full(env.state_dim, -jnp.inf),
+            reached=jnp.zeros(bins),
+            episodes=jnp.float32(num_envs),
+            mastered=jnp.zeros(bins),
+            visited=jnp.zeros((num_envs, *bins), bool),
+            bonuses=Moments.create(),
+        )
+
+    def update(frontier: Frontier, outcome: TimeStep, key: Key):
+        del key
+        # The rollout counts too: without it, the first visits would be worth infinitely much.
+        frontier, bins, is_first = explore(frontier, outcome, config.window)
+        features = jnp.arange(env.state_dim)
+        worth = worth_of(frontier.mastered, config.largest_worth)[features, bins]
+        bonus = jnp.where(is_first, worth, 0.0).sum(-1)
+        seen = moments.update(frontier.bonuses, bonus)
+        reward = config.coef * bonus / jnp.sqrt(seen.variance + 1e-6)
+        return frontier._replace(bonuses=seen), reward, {"frontier": reward.mean()}
+
+    return Bonus(init, update)
+
+
+def explore(
+    frontier: Frontier, outcome: TimeStep, window: int
+) -> tuple[Frontier, Int[Array, "T E state"], Bool[Array, "T E state"]]:
+    """Count the episodes of a rollout that reach each bin.
+
+    Args:
+        frontier: state before the rollout.
+        outcome: (T, E), steps before any reset.
+        window: number of rollouts to average over.
+
+    Returns:
+        The new state; the bin of each feature; and whether its episode visits the bin for the
+        first time.
+    """
+    states = outcome.state
+    frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
+    bins = find_bins(frontier, states)
+    visited, is_first = first_visits(frontier.visited, bins, outcome.done)
+    keep = 1.0 - 1.0 / window
+    features = jnp.broadcast_to(jnp.arange(states.shape[-1]), bins.shape)
+    reached = (frontier.reached * keep).at[features, bins].add(is_first.astype(jnp.float32))
+    episodes = frontier.episodes * keep + outcome.done.sum()
+    share = jnp.minimum(reached / jnp.maximum(episodes, 1.0), 1.0)
+    frontier = frontier._replace(
+        reached=reached,
+        episodes=episodes,
+        mastered=jnp.maximum(frontier.mastered, share),
+        visited=visited,
+    )
+    return frontier, bins, is_first
+
+
+def first_visits(
+    visited: Bool[Array, "E state bins"], bins: Int[Array, "T E state"], done: Bool[Array, "T E"]
+) -> tuple[Bool[Array, "E state bins"], Bool[Array, "T E state"]]:
+    """Return the bins that episodes under way have visited, and which visits are first ones."""
+
+    def step(visited, x):
+        bins, done = x
+        here = bins[..., None] == jnp.arange(visited.shape[-1])
+        is_first = (here & ~visited).any(-1)
+        return (visited | here) & ~done[:, None, None], is_first
+
+    return jax.lax.scan(step, visited, (bins, done))
+
+
+def worth_of(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
+    """Return 1 / sqrt(p) - 1 for a share p of episodes, at most `largest`."""
+    return jnp.minimum(jax.lax.rsqrt(jnp.maximum(share, 1e-9)) - 1.0, largest)
+
+
+def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " state"]):
+    """Widen the range of each feature to include `low` and `high`.
+
+    What is known of an old bin moves to the new bin that holds its middle. `visited` keeps the old
+    bins until its episodes end.
+    """
+    wider = frontier._replace(
+        low=jnp.minimum(frontier.low, low), high=jnp.maximum(frontier.high, high)
+    )
+    size, num_bins = frontier.reached.shape
+    middle = (jnp.arange(num_bins)[:, None] + 0.5) / num_bins
+    # Before the first rollout there is no range, and nothing to move.
+    is_new = frontier.low > frontier.high
+    middles = jnp.where(is_new, low, frontier.low + middle * (frontier.high - frontier.low))
+    moved = (jnp.arange(size)[:, None], find_bins(wider, middles).T)
+    empty = jnp.zeros_like(frontier.reached)
+    return wider._replace(
+        reached=empty.at[moved].add(frontier.reached),
+        mastered=empty.at[moved].max(frontier.mastered),
+    )
+
+
+def find_bins(
+    frontier: Frontier, states: Float[Array, "*batch state"]
+) -> Int[Array, "*batch state"]:
+    """Return the bin of each feature."""
+    num_bins = frontier.reached.shape[1]
+    width = jnp.maximum(frontier.high - frontier.low, 1e-6)
+    return jnp.clip((states - frontier.low) / width * num_bins, 0, num_bins - 1).astype(int)

@@ -1,0 +1,125 @@
+"""The bonus for values of single features that few episodes reach."""
+
+import jax
+import jax.numpy as jnp
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+import envs_jax
+from hmasd_jax.exploration.bonus import NO_BONUS
+from hmasd_jax.exploration.frontier import (
+    FrontierConfig,
+    explore,
+    find_bins,
+    first_visits,
+    make_frontier,
+    widen,
+    worth_of,
+)
+from tests.helpers.rollouts import outcome_of
+
+ENV = envs_jax.make("probe_match_cue")
+SIZE = ENV.state_dim
+NUM_ENVS = 4
+
+
+@pytest.fixture
+def bonus():
+    return make_frontier(ENV, FrontierConfig(coef=0.5, num_bins=4, window=10), NUM_ENVS)
+
+
+@pytest.fixture
+def empty(bonus):
+    return bonus.init(jax.random.key(0))
+
+
+def rollout_of(*episodes, done_at_end=True):
+    """Return a rollout, one episode per copy, whose first feature has these values."""
+    values = jnp.array(episodes).T
+    outcome = outcome_of(jnp.zeros((*values.shape, SIZE)).at[..., 0].set(values))
+    return outcome._replace(terminated=outcome.terminated.at[-1].set(done_at_end))
+
+
+def train(bonus, frontier, outcome, times=1):
+    """Return the state after that many updates on the same rollout, and the last reward."""
+    for _ in range(times):
+        frontier, reward, _ = bonus.update(frontier, outcome, jax.random.key(0))
+    return frontier, reward
+
+
+def test_only_the_first_visit_of_an_episode_counts():
+    bins = jnp.array([0, 1, 0, 1, 2])[:, None, None]
+    done = jnp.array([False, False, True, False, False])[:, None]
+    visited, is_first = first_visits(jnp.zeros((1, 1, 4), bool), bins, done)
+    assert_array_equal(is_first[:, 0, 0], [True, True, False, True, True])
+    assert_array_equal(visited[0, 0], [False, True, True, False])
+
+
+def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
+    frontier, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False))
+    _, reward = train(bonus, frontier, rollout_of(*[[4.0, 0.0]] * 4))
+    assert_array_equal(reward, 0.0)
+
+
+def test_the_share_counts_episodes_and_not_steps(empty):
+    """One of four episodes reaches 4, and stays there."""
+    outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
+    frontier, _, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, window=10)
+    assert_allclose(frontier.mastered[0], [1.0, 0, 0, 0.25])
+    assert_allclose(frontier.mastered[1:, 0], 1.0)
+
+
+def test_the_share_is_an_average_over_the_window(empty):
+    outcome = rollout_of(*[[0.0, 4.0]] * 4)
+    frontier, _, _ = explore(empty, outcome, window=10)
+    assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
+    assert_allclose(frontier.reached[0], [4, 0, 0, 4])
+    assert_allclose(frontier.mastered[0, 0], 4 / 7.6, rtol=1e-6)
+
+
+def test_worth_falls_from_the_largest_to_nothing():
+    worth = worth_of(jnp.array([0.0, 1e-6, 0.01, 0.25, 1.0]), largest=20.0)
+    assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
+
+
+def test_the_bonus_is_the_sum_over_features_in_deviations(bonus, empty):
+    outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
+    frontier, reward = train(bonus, empty, outcome)
+    worth = worth_of(frontier.mastered, 5.0)
+    paid = jnp.zeros((2, 4)).at[0].set(worth[0, 0] + worth[1:, 0].sum()).at[1, 3].set(worth[0, 3])
+    assert_allclose(reward, 0.5 * paid / paid.std(), rtol=1e-4)
+
+
+def test_what_was_mastered_once_pays_nothing_even_when_it_is_left_for_long(bonus, empty):
+    mastered, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0]] * 4), times=60)
+    left, _ = train(bonus, mastered, rollout_of(*[[0.0, 0.0]] * 4), times=60)
+    assert left.reached[0, 3] < 0.1
+    _, back = train(bonus, left, rollout_of([0.0, 4.0], *[[0.0, 2.0]] * 3))
+    assert_allclose(back[:, 0], 0.0, atol=0.01)
+    assert (back[1, 1:] > 0.1).all()
+
+
+def test_a_wider_range_moves_what_is_known_to_the_bin_of_the_old_middle(empty):
+    """Bins of [0, 4] have their middles at 0.5, 1.5, 2.5, 3.5; those of [0, 8] are 2 wide."""
+    known = empty._replace(
+        low=jnp.zeros(SIZE),
+        high=jnp.full(SIZE, 4.0),
+        reached=jnp.tile(jnp.array([2.0, 1, 0, 2]), (SIZE, 1)),
+        mastered=jnp.tile(jnp.array([0.5, 0.25, 0, 0.125]), (SIZE, 1)),
+    )
+    wider = widen(known, jnp.zeros(SIZE), jnp.full(SIZE, 8.0))
+    assert_allclose(wider.reached[0], [3, 2, 0, 0])
+    assert_allclose(wider.mastered[0], [0.5, 0.125, 0, 0])
+    assert_array_equal(find_bins(wider, jnp.full(SIZE, 3.9)), 1)
+
+
+def test_without_a_weight_there_is_no_bonus():
+    assert make_frontier(ENV, FrontierConfig(), NUM_ENVS) is NO_BONUS
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("coef", -1), ("num_bins", 1), ("largest_worth", -1), ("window", 0)]
+)
+def test_settings_out_of_range_are_refused(field, value):
+    with pytest.raises(ValueError, match=f"{field} must be at least .*, got {value}"):
+        FrontierConfig(**{field: value})
