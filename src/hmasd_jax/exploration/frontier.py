@@ -11,6 +11,9 @@ A value that a share p of the episodes reaches is worth 1 / sqrt(p) - 1. Here p 
 so far, measured over recent rollouts: what the team has mastered once pays nothing from then on, so
 that only the frontier of what it can do is left. A share that may fall again would pay for leaving
 the solution of a task to do what has become rare.
+
+The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
+negative pays for every step of life, and so for not fighting, and for not finishing.
 """
 
 from dataclasses import dataclass
@@ -93,8 +96,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         worth = worth_of(frontier.mastered, config.largest_worth)[features, bins]
         bonus = jnp.where(is_first, worth, 0.0).sum(-1)
         seen = moments.update(frontier.bonuses, bonus)
-        reward = config.coef * bonus / jnp.sqrt(seen.variance + 1e-6)
-        return frontier._replace(bonuses=seen), reward, {"frontier": reward.mean()}
+        reward = config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
+        return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
     return Bonus(init, update)
 
