@@ -85,7 +85,7 @@ def test_worth_falls_from_the_largest_to_nothing():
 def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, empty):
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     frontier, reward = train(bonus, empty, outcome)
-    worth = worth_of(frontier.mastered, 5.0)
+    worth = worth_of(frontier.mastered, 20.0)
     paid = jnp.zeros((2, 4)).at[0].set(worth[0, 0] + worth[1:, 0].sum()).at[1, 3].set(worth[0, 3])
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 

@@ -40,7 +40,7 @@ class FrontierConfig:
     is none."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
-    largest_worth: float = 5.0
+    largest_worth: float = 20.0
     """Most that one value is worth. It keeps accidents from outweighing everything else."""
     window: int = 20
     """Rollouts over which the share of episodes is averaged, with exponential weights."""
