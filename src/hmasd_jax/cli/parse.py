@@ -53,9 +53,12 @@ def parse(cls: type[OptionsT], words: Sequence[str]) -> tuple[OptionsT, dict[str
         if name not in own and not issubclass(cls, RunOptions):
             raise ConfigError(f"unknown option --{name}{suggest(name, own)}")
         value = Text(value) if equals else _take_value(rest, own.get(name))
-        if own.get(name) == tuple[str, ...]:  # An option that may be repeated.
-            value = (*given.get(name, ()), value)
-        (given if name in own else overrides)[name] = value
+        if name not in own:
+            overrides[name] = value
+        elif own[name] == tuple[str, ...]:  # It may be repeated.
+            given[name] = (*given.get(name, ()), value)
+        else:
+            given[name] = value
     return from_table(cls, given), overrides
 
 
