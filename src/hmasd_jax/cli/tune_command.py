@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 from rich.console import Console
-from rich.text import Text
 
 from hmasd_jax.cli import summary
 from hmasd_jax.cli.hints import suggest_next
@@ -92,7 +91,7 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
     values = suggest_values(search, trial)
     run = trial_folder(search.folder, trial.number)
     shown = ", ".join(f"{name}={value}" for name, value in values.items()) or "the preset"
-    console.rule(Text(f"trial {trial.number} of {search.trials}: {shown}"), align="left")
+    say(console, f"\ntrial {trial.number} of {search.trials}: {shown}")
     try:
         config = change(search.definition.config, values)
         build(config)
@@ -100,7 +99,7 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
         return _fail(search, trial, str(error), console)
     if twin := trials.find_twin(search, trial):
         trials.repeat(search, trial, twin)
-        console.print(f"trial {trial.number} has the values of trial {twin.number}, and its score")
+        say(console, f"trial {trial.number} has the values and so the score of trial {twin.number}")
         return 0
     sweep = SweepOptions(
         run_dir=run,
@@ -121,13 +120,13 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
     summary.write(run, results)
     if pruner.pruned:
         trials.prune(search, trial)
-        console.print(f"trial {trial.number} stopped early: it has fallen behind")
+        say(console, f"trial {trial.number} stopped early: it has fallen behind")
         return 0
     code = exit_code(results)
     if code == 0:
         score = pruner.score()
         trials.complete(search, trial, score)
-        console.print(f"trial {trial.number} has score {score:.3f}", highlight=False)
+        say(console, f"trial {trial.number} has score {score:.3f}")
         summary.plot(console, run)
     elif code == FAILED:
         failed = {i: e.data["message"] for i, e in sorted(results.items()) if e.kind == "failed"}
@@ -138,23 +137,27 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
 
 def _fail(search: Search, trial: "Trial", reason: str, console: Console) -> int:
     trials.fail(search, trial, reason)
-    text = f"trial {trial.number} failed: {reason}"
-    console.print(text, markup=False, highlight=False, soft_wrap=True)
+    say(console, f"trial {trial.number} failed: {reason}")
     return FAILED
+
+
+def say(console: Console, text: str) -> None:
+    """Print a line as it is."""
+    console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 
 def conclude(search: Search, console: Console, options: TuneOptions, interrupted: bool) -> int:
     """Print the best trial beside the preset and the next command; return the exit code."""
     folder = str(search.folder)
-    console.rule(Text(f"search {folder}"), align="left")
-    console.print(count_states(search), markup=False, highlight=False, soft_wrap=True)
+    say(console, f"\nsearch           {folder}\n{count_states(search)}")
     table, best = compare_best(search), trials.best(search)
     if table is not None:
         console.print(table)
     if interrupted:
         again = ["--run-dir", folder, "--resume", *options.repeated]
-        text = f"interrupted; to continue: python -m hmasd_jax.train tune {shlex.join(again)}"
-        console.print(text, markup=False, highlight=False, soft_wrap=True)
+        say(
+            console, f"interrupted; to continue: python -m hmasd_jax.train tune {shlex.join(again)}"
+        )
         return INTERRUPTED
     if best is None:
         return FAILED

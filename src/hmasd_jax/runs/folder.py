@@ -76,6 +76,8 @@ def read_config(run: Path, overrides: Mapping[str, Any] | None = None) -> TrainC
     """
     path = run / "config.json"
     if not path.is_file():
+        if (run / "study.json").is_file():
+            raise RunError(f"{run} is a search: name one of its trials, e.g. {run / 'trial_0'}")
         raise RunError(f"{run} is not a run folder: it has no config.json")
     saved = read_table(path)
     if not all("name" in subtable(saved, name) for name in ("env", "algorithm")):

@@ -197,7 +197,10 @@ def _storage(folder: Path, place: dict, url: str | None, may_write: bool) -> Ite
     url = url or place["storage"]
     shown = folder / "journal.log" if url is None else place["storage"] or url
     if url is not None and HIDDEN in url:
-        raise RunError(f"the storage of {folder} has a password: give its URL as --storage")
+        raise RunError(
+            f"the storage of {folder} has a password, which is not kept: give its URL as --storage "
+            "to tune, or name single trials to the other commands"
+        )
     try:
         yield _journal(folder, may_write) if url is None else url
     except (OSError, ValueError, KeyError, ImportError, SQLAlchemyError) as error:
