@@ -102,7 +102,8 @@ def draw_history(study: "optuna.Study", metric: str) -> "go.Figure":
     figure = optuna.visualization.plot_optimization_history(study, target_name=metric)
     figure.data = tuple(figure.select_traces(lambda trace: len(trace.x)))
     figure.update_traces(marker_color=RUN_COLORS[0], selector={"mode": "markers"})
-    figure.update_traces(line_color=RUN_COLORS[1], selector={"mode": "lines"})
+    figure.update_traces(line_color=RUN_COLORS[1], name="best so far", selector={"mode": "lines"})
+    figure.update_xaxes(title="trial")
     return dress(figure, 340, title=_title("scores of the complete trials"))
 
 
@@ -123,7 +124,9 @@ def draw_importances(study: "optuna.Study") -> "go.Figure | None":
         warnings.simplefilter("ignore")  # Few trials; the page shows how many there are.
         figure = optuna.visualization.plot_param_importances(own)
     figure.update_traces(marker_color=RUN_COLORS[0])
-    return dress(figure, 150 + 40 * len(valued[0].params), title=_title("importance of settings"))
+    figure.update_xaxes(title="", range=[0, 1.25], tickvals=[0, 0.5, 1])
+    figure.update_yaxes(title="")
+    return dress(figure, 80 + 40 * len(valued[0].params), title=_title("importance of settings"))
 
 
 def _title(text: str) -> dict[str, Any]:
