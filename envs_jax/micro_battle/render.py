@@ -132,7 +132,7 @@ def draw(scenario: Scenario, env_state: Any, box: Box | None = None) -> np.ndarr
     Returns:
         Image, uint8 (height, width, 3).
     """
-    units = Units(*map(np.asarray, env_state.units))
+    units = Units(*map(np.asarray, env_state.units))  # pyrefly: ignore
     box = bounds(scenario.floor) if box is None else box
     canvas = Canvas(box)
     canvas.pixels = _draw_floor(scenario, box).copy()

@@ -16,7 +16,7 @@ from hmasd_jax.search.study import (
     trial_folder,
 )
 
-pytest.importorskip("optuna")
+optuna = pytest.importorskip("optuna")
 
 COEF, STEPS = "algorithm.low_entropy_coef", "algorithm.skill_interval"
 
@@ -141,13 +141,13 @@ def test_a_database_can_be_the_storage(tmp_path):
     assert states(read_search(tmp_path / "there")) == ["COMPLETE", "RUNNING"]
 
 
-def test_a_password_is_not_written_down(tmp_path):
-    from hmasd_jax.search.study import _write_place
-
-    folder = tmp_path / "s"
-    folder.mkdir()
-    _write_place(folder, "postgresql://me:secret@host/db", "s")
-    assert "secret" not in (folder / "study.json").read_text()
+def test_a_password_is_not_written_down(tmp_path, monkeypatch):
+    folder, create, file = tmp_path / "s", optuna.create_study, f"sqlite:///{tmp_path}/search.db"
+    monkeypatch.setattr(
+        optuna, "create_study", lambda storage, **more: create(storage=file, **more)
+    )
+    join(folder, storage="postgresql://me:secret@host/db")
+    assert not [path for path in folder.iterdir() if "secret" in path.read_text()]
     with pytest.raises(RunError, match="has a password, which is not kept"):
         read_search(folder)
 
@@ -178,6 +178,28 @@ def test_only_the_same_search_is_joined(tmp_path):
         assert "is another search" in str(error.value)
         assert message in str(error.value)
     assert join(folder, 9, layout="vmap").trials == 9
+
+
+def test_a_search_keeps_its_storage(tmp_path):
+    folder = tmp_path / "s"
+    join(folder)
+    with pytest.raises(RunError, match=r"has the storage its journal\.log, not sqlite://"):
+        join(folder, storage=f"sqlite:///{tmp_path}/search.db")
+    assert not (tmp_path / "search.db").exists()
+
+
+def test_a_search_that_could_not_begin_can_begin_later(tmp_path):
+    folder = tmp_path / "s"
+    with pytest.raises(RunError):
+        join(folder, storage="sqlite:////no/such/folder/search.db")
+    assert play(join(folder, storage=f"sqlite:///{tmp_path}/search.db")) == 0
+
+
+def test_a_search_whose_process_died_while_it_began_begins_again(tmp_path):
+    folder = tmp_path / "s"
+    join(folder)
+    (folder / "study.json").unlink()  # It is written last.
+    assert [play(join(folder)) for _ in range(2)] == [0, 1]
 
 
 def test_a_folder_in_use_is_refused(tmp_path):

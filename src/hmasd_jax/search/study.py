@@ -10,8 +10,6 @@ What is searched stands in the storage, so that all processes agree on it.
 
 import json
 import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -19,15 +17,13 @@ from envs_jax.optional import require
 from hmasd_jax.config import TrainConfig, from_json, identity, read_table, to_json
 from hmasd_jax.runs.folder import RunError, exclusive, write_json
 from hmasd_jax.search.space import Choices, Space, preset_values, read_space
-from hmasd_jax.validation import ConfigError
+from hmasd_jax.search.storage import hide_password, open_storage
 
 if TYPE_CHECKING:
     import optuna
 
 LOCK = ".lock"
 """File of the folder that a process holds while it prepares the search or takes a trial."""
-HIDDEN = "***"
-"""Stands for the password of a URL, which is not written down."""
 
 
 class Definition(NamedTuple):
@@ -100,41 +96,68 @@ def create_or_join(
     """
     require("optuna", "tune", "a search")
     space = read_space(definition.config, definition.settings)
-    if folder.exists() and not is_search(folder) and any(folder.glob("[!.]*")):
-        raise RunError(f"{folder} is not empty, and not a search: choose another --run-dir")
+    place = {"storage": hide_password(storage), "name": name or folder.resolve().name}
+    _check_unused(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with exclusive(folder / LOCK):
-            if not is_search(folder):
-                write_json(folder / "preset.json", to_json(definition.config))
-                _write_place(folder, storage, name or folder.resolve().name)
-            return _open(folder, storage, definition, space, trials)
+            if is_search(folder):
+                place = _read_place(folder, place if storage else {})
+                return _open(folder, place, storage, definition, space, trials)
+            place |= {"place": uuid.uuid4().hex}
+            search = _open(folder, place, storage, definition, space, trials)
+            write_json(folder / "preset.json", to_json(definition.config))
+            write_json(folder / "study.json", place)
+            return search
     except OSError as error:
         raise RunError(f"cannot write {folder}: {error.strerror or error}") from error
 
 
-def _write_place(folder: Path, storage: str | None, name: str) -> None:
-    """Write where the storage is, without the password of a URL."""
-    if storage is not None:
-        from sqlalchemy.engine import make_url
-        from sqlalchemy.exc import ArgumentError
+def _check_unused(folder: Path) -> None:
+    """Check that a folder is absent, empty or that of a search, maybe one that just begins.
 
-        try:
-            storage = make_url(storage).render_as_string(hide_password=True)
-        except ArgumentError as error:
-            raise RunError(f"cannot use --storage {storage}: it is not a URL") from error
-    place = {"storage": storage, "name": name, "place": uuid.uuid4().hex}
-    write_json(folder / "study.json", place)
+    Raises:
+        RunError: It is not.
+    """
+    beginning = ("preset.json", "journal.log", "journal.log.lock")
+    others = [path for path in folder.glob("[!.]*") if path.name not in beginning]
+    if others and not is_search(folder):
+        raise RunError(f"{folder} is not empty, and not a search: choose another --run-dir")
+
+
+def _read_place(folder: Path, wanted: dict[str, Any]) -> dict[str, Any]:
+    """Read where the storage of a folder is.
+
+    Args:
+        folder: Folder of the search.
+        wanted: Storage and name that were asked for, if any.
+
+    Raises:
+        RunError: Others were asked for.
+    """
+    place = read_table(folder / "study.json")
+    for key, value in wanted.items():
+        if place.get(key) != value:
+            was = place.get(key) or "its journal.log"
+            raise RunError(
+                f"{folder} has the {key} {was}, not {value}: choose another --run-dir, or leave "
+                "out --storage and --study-name"
+            )
+    return place
 
 
 def _open(
-    folder: Path, storage: str | None, definition: Definition, space: Space, trials: int
+    folder: Path,
+    place: dict[str, Any],
+    storage: str | None,
+    definition: Definition,
+    space: Space,
+    trials: int,
 ) -> Search:
     """Open the study of a folder; what is missing in the storage is written."""
     import optuna
 
-    place = read_table(folder / "study.json")
-    with _storage(folder, place, storage, may_write=True) as opened:
+    with open_storage(folder, place, storage, may_write=True) as opened:
         study = optuna.create_study(
             storage=opened,
             study_name=place["name"],
@@ -169,8 +192,8 @@ def read_search(folder: Path, storage: str | None = None) -> Search:
     optuna = require("optuna", "tune", "a search")
     if not is_search(folder):
         raise RunError(f"{folder} is not a search: it has no study.json")
-    place = read_table(folder / "study.json")
-    with _storage(folder, place, storage, may_write=False) as opened:
+    place = _read_place(folder, {"storage": hide_password(storage)} if storage else {})
+    with open_storage(folder, place, storage, may_write=False) as opened:
         study = optuna.load_study(study_name=place["name"], storage=opened)
         table = study.user_attrs["definition"]
     config = from_json(table["config"])
@@ -178,68 +201,6 @@ def read_search(folder: Path, storage: str | None = None) -> Search:
     definition = Definition(config, settings, table["last"], table["prune_after"])
     space = read_space(config, settings)
     return Search(folder, definition, space, study, place["place"], place["storage"] is None)
-
-
-@contextmanager
-def _storage(folder: Path, place: dict, url: str | None, may_write: bool) -> Iterator[Any]:
-    """Yield the storage of a search; whatever goes wrong with it is one error.
-
-    Args:
-        folder: Folder of the search.
-        place: Contents of its `study.json`.
-        url: URL that was given; None takes the one that was written down.
-        may_write: If True, the journal is created and mended.
-    """
-    import optuna
-    from sqlalchemy.exc import SQLAlchemyError
-
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    url = url or place["storage"]
-    shown = folder / "journal.log" if url is None else place["storage"] or url
-    if url is not None and HIDDEN in url:
-        raise RunError(
-            f"the storage of {folder} has a password, which is not kept: give its URL as --storage "
-            "to tune, or name single trials to the other commands"
-        )
-    try:
-        yield _journal(folder, may_write) if url is None else url
-    except (OSError, ValueError, KeyError, ImportError, SQLAlchemyError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise RunError(f"cannot use the storage {shown} of {folder}: {reason[0]}") from error
-
-
-def _journal(folder: Path, may_write: bool) -> "optuna.storages.BaseStorage":
-    """Return the storage in the folder's own file."""
-    from optuna.storages import JournalStorage
-    from optuna.storages.journal import JournalFileBackend, JournalFileSymlinkLock
-
-    path = folder / "journal.log"
-    if not may_write and not path.exists():
-        raise FileNotFoundError(f"it has no {path.name}")
-    lock = JournalFileSymlinkLock(str(path))
-    if may_write and path.exists():
-        lock.acquire()
-        try:
-            _mend(path)
-        finally:
-            lock.release()
-    return JournalStorage(JournalFileBackend(str(path), lock_obj=lock))
-
-
-def _mend(path: Path) -> None:
-    """Move the half of a line that a power cut has left at the end of a journal to another file.
-
-    Else the next line would follow it on the same line, and neither could be read.
-    """
-    content = path.read_bytes()
-    whole = content.rfind(b"\n") + 1
-    if whole < len(content):
-        with path.with_name("journal.removed.log").open("ab") as file:
-            file.write(content[whole:] + b"\n")
-        with path.open("r+b") as file:
-            file.truncate(whole)
 
 
 def _check_same(saved: dict[str, Any], wanted: dict[str, Any], folder: Path) -> None:
