@@ -3,6 +3,7 @@
 import json
 import re
 
+import jax
 import pytest
 
 from hmasd_jax.cli import tune_command
@@ -123,6 +124,15 @@ def test_a_failed_trial_has_a_reason_and_the_search_goes_on(plays, tmp_path, cap
     assert (first.state.name, second.state.name) == ("FAIL", "COMPLETE")
     assert first.user_attrs[REASON] == "seed 0: bad luck; seed 1: bad luck"
     assert "trial 0 failed: seed 0: bad luck" in capsys.readouterr().out
+
+
+def test_a_trial_that_is_too_large_for_the_device_fails_alone(plays, tmp_path):
+    _, scores = plays
+    scores["trial_1"] = jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: 9 GiB\nDetails")
+    assert tune(tmp_path / "s", "--trials", "3") == 0
+    found = trials(tmp_path / "s")
+    assert [trial.state.name for trial in found] == ["COMPLETE", "FAIL", "COMPLETE"]
+    assert found[1].user_attrs[REASON] == "RESOURCE_EXHAUSTED: 9 GiB"
 
 
 def test_values_that_do_not_fit_each_other_fail_their_trial_alone(plays, tmp_path, capsys):

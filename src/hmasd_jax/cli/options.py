@@ -138,7 +138,7 @@ class TuneOptions(RunOptions):
     share the trials."""
     resume: bool = False
     """Continue or join the search in --run-dir; what is not given is as it was."""
-    vary: tuple[str, ...] = ()
+    vary: Annotated[tuple[str, ...], arg(metavar="NAME=VALUES")] = ()
     """A setting with its range, e.g. algorithm.low_entropy_coef=0.01:0.1:log, or with its values,
     e.g. algorithm.skill_interval=5,10,25. Repeat it to search several settings at once."""
     trials: int | None = None

@@ -1,11 +1,13 @@
 """The command `tune`: a search whose trials are ordinary runs."""
 
 import shlex
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 from rich.console import Console
 
+from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.cli import summary
 from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import SweepOptions, TuneOptions, split_vary
@@ -18,6 +20,7 @@ from hmasd_jax.cli.train_commands import (
     stop_on_signal,
 )
 from hmasd_jax.config import ConfigError, TrainConfig, build
+from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.search import trials
 from hmasd_jax.search.space import change, count, preset_values, read_space
 from hmasd_jax.search.study import (
@@ -35,12 +38,13 @@ from hmasd_jax.training.workers import worker_cores
 if TYPE_CHECKING:
     from optuna import Trial
 
-TRIALS, LAST, PRUNE_AFTER = 20, 5, 5
-"""Defaults of options whose value a resumed search remembers."""
+TRIALS, PRUNE_AFTER = 20, 5
+"""Defaults of options whose value a resumed search remembers; another is `LAST`."""
 
 
 def tune(config: TrainConfig, options: TuneOptions, words: list[str]) -> int:
     """Create, join or continue a search, train its trials and return the exit code."""
+    check_loggers(options.loggers)
     build(config)  # Before anything is written: settings may not fit.
     search = open_search(config, options)
     console = Console()
@@ -89,7 +93,6 @@ def _first(*values: Any) -> Any:
 def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Console) -> int:
     """Train one trial, or continue it, and record how it ends; return its exit code."""
     values = suggest_values(search, trial)
-    run = trial_folder(search.folder, trial.number)
     shown = ", ".join(f"{name}={value}" for name, value in values.items()) or "the preset"
     say(console, f"\ntrial {trial.number} of {search.trials}: {shown}")
     try:
@@ -101,29 +104,24 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
         trials.repeat(search, trial, twin)
         say(console, f"trial {trial.number} has the values and so the score of trial {twin.number}")
         return 0
+    layout, num_seeds = choose_layout(config), config.num_seeds
+    at_once = len(worker_cores(num_seeds)) if layout == "workers" else num_seeds
+    pruner = trials.Pruner(search, trial, config, at_once)
+    run = trial_folder(search.folder, trial.number)
     sweep = SweepOptions(
-        run_dir=run,
-        resume=run.exists(),
-        tensorboard=options.tensorboard,
-        wandb=options.wandb,
+        run_dir=run, resume=run.exists(), tensorboard=options.tensorboard, wandb=options.wandb
     )
-    changes = [str(x) for name, value in values.items() for x in (f"--{name}", value)]
-    preset = ["--config", str(search.folder / "preset.json")]
-    words = ["seed_sweep", *preset, *changes, "--run-dir", str(run)]
-    seeds, layout = list(range(config.num_seeds)), choose_layout(config)
-    cores = worker_cores(len(seeds))
-    pruner = trials.Pruner(search, trial, config, len(cores) if layout == "workers" else len(seeds))
+    words = _command(search, values, run)
     try:
-        results = run_seeds(config, sweep, words, seeds, layout, watcher=pruner)
+        results = run_seeds(config, sweep, words, list(range(num_seeds)), layout, watcher=pruner)
     except jax.errors.JaxRuntimeError as error:  # Most often, too little memory.
         return _fail(search, trial, str(error).splitlines()[0], console)
     summary.write(run, results)
+    code = 0 if pruner.pruned else exit_code(results)
     if pruner.pruned:
         trials.prune(search, trial)
         say(console, f"trial {trial.number} stopped early: it has fallen behind")
-        return 0
-    code = exit_code(results)
-    if code == 0:
+    elif code == 0:
         score = pruner.score()
         trials.complete(search, trial, score)
         say(console, f"trial {trial.number} has score {score:.3f}")
@@ -131,8 +129,15 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
     elif code == FAILED:
         failed = {i: e.data["message"] for i, e in sorted(results.items()) if e.kind == "failed"}
         reason = "; ".join(f"seed {seed}: {message}" for seed, message in failed.items())
-        _fail(search, trial, reason, console)
+        return _fail(search, trial, reason, console)
     return code
+
+
+def _command(search: Search, values: dict[str, Any], run: Path) -> list[str]:
+    """Return the words of the command that makes the run of a trial alone."""
+    changes = [str(word) for name, value in values.items() for word in (f"--{name}", value)]
+    preset = ["--config", str(search.folder / "preset.json")]
+    return ["seed_sweep", *preset, *changes, "--run-dir", str(run)]
 
 
 def _fail(search: Search, trial: "Trial", reason: str, console: Console) -> int:
