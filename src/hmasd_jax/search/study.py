@@ -119,8 +119,8 @@ def _check_unused(folder: Path) -> None:
     Raises:
         RunError: It is not.
     """
-    beginning = ("preset.json", "journal.log", "journal.log.lock")
-    others = [path for path in folder.glob("[!.]*") if path.name not in beginning]
+    begun = {"preset.json", "preset.tmp", "study.tmp", "journal.log", "journal.log.lock"}
+    others = {path.name for path in folder.glob("[!.]*")} - begun
     if others and not is_search(folder):
         raise RunError(f"{folder} is not empty, and not a search: choose another --run-dir")
 
