@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -116,7 +117,7 @@ class Canvas:
         return np.round(mean).astype(np.uint8)
 
 
-def draw(scenario: Scenario, env_state, box: Box | None = None) -> np.ndarray:
+def draw(scenario: Scenario, env_state: Any, box: Box | None = None) -> np.ndarray:
     """Draw the map, the living units with health and shields, and the shots of the last step.
 
     Each agent has its own color, enemies are red. Marines are discs, zealots triangles with blades,

@@ -21,6 +21,7 @@ LAYERS = (
     {"runs"},
     {"training"},
     {"analysis"},
+    {"search"},
     {"report"},
     {"cli"},
     {"train"},

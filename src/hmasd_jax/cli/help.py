@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from typing import TYPE_CHECKING, Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_origin
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
@@ -61,7 +61,7 @@ def _objects_by_name() -> ConstructorRegistry:
 
     @registry.primitive_rule
     def by_name(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec | None:
-        if str not in get_args(info.type):
+        if str not in get_args(info.type) or get_origin(info.type) is tuple:
             return None
         return PrimitiveConstructorSpec(
             nargs=1,

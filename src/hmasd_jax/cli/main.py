@@ -20,6 +20,7 @@ from hmasd_jax.cli.options import (
     RunOptions,
     SweepOptions,
     TrainOptions,
+    TuneOptions,
 )
 from hmasd_jax.validation import ConfigError
 
@@ -54,6 +55,12 @@ def _grid() -> Callable[..., int]:
     from hmasd_jax.cli.train_commands import grid
 
     return grid
+
+
+def _tune() -> Callable[..., int]:
+    from hmasd_jax.cli.tune_command import tune
+
+    return tune
 
 
 def _evaluate() -> Callable[..., int]:
@@ -99,6 +106,12 @@ COMMANDS = {
         "algorithm.num_skills=2,3,4,5.",
         GridOptions,
         _grid,
+    ),
+    "tune": Command(
+        "Search good values of settings with Optuna, e.g. --vary "
+        "algorithm.low_entropy_coef=0.01:0.1:log.",
+        TuneOptions,
+        _tune,
     ),
     "evaluate": Command(
         "Play episodes with the newest checkpoint of every seed of a run.",

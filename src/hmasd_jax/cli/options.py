@@ -35,6 +35,11 @@ class RunOptions(Options):
     """Also log to Weights & Biases (package wandb; WANDB_MODE=offline needs no account)."""
 
     @property
+    def base(self) -> Path | None:
+        """File of settings that those of the command line change."""
+        return self.config
+
+    @property
     def resumed_run(self) -> Path | None:
         """Folder of the run to resume."""
         return self.run_dir if self.resume else None
@@ -101,17 +106,71 @@ class GridOptions(RunOptions):
         Raises:
             ConfigError: `vary` is not of the form NAME=VALUE,VALUE.
         """
-        name, equals, values = self.vary.partition("=")
-        found = [value.strip() for value in values.split(",")]
+        name, found = split_vary(self.vary)
         for value in found:
             if not value.isprintable() or "/" in value or os.sep in value:
                 raise ConfigError(f"--vary: {value!r} cannot name a folder; give it in a TOML file")
-        if not (name and equals and all(found)) or len(set(found)) < len(found):
+        return name, found
+
+
+def split_vary(vary: str) -> tuple[str, list[str]]:
+    """Return the dotted name and the values of NAME=VALUE,VALUE.
+
+    Raises:
+        ConfigError: `vary` is not of this form, or names a value twice.
+    """
+    name, equals, values = vary.partition("=")
+    found = [value.strip() for value in values.split(",")]
+    if not (name and equals and all(found)) or len(set(found)) < len(found):
+        raise ConfigError(
+            "--vary must name a setting and its values, each once, as in "
+            f"algorithm.skill_interval=5,10,25: got {vary!r}"
+        )
+    return name.strip().replace("-", "_"), found
+
+
+@dataclass(frozen=True)
+class TuneOptions(RunOptions):
+    """Settings to search, and files that the search reads and writes."""
+
+    run_dir: Path | None = None
+    """Folder of the search. Its trials are run folders in it. Processes that name the same folder
+    share the trials."""
+    resume: bool = False
+    """Continue or join the search in --run-dir; what is not given is as it was."""
+    vary: Annotated[tuple[str, ...], arg(metavar="NAME=VALUES")] = ()
+    """A setting with its range, e.g. algorithm.low_entropy_coef=0.01:0.1:log, or with its values,
+    e.g. algorithm.skill_interval=5,10,25. Repeat it to search several settings at once."""
+    trials: int | None = None
+    """Number of trials of all processes together, the preset included. The default is 20."""
+    last: int | None = None
+    """Number of last evaluations whose mean is the score of a seed. The default is 5."""
+    prune_after: int | None = None
+    """Trials that must be complete before worse ones are stopped early. The default is 5."""
+    storage: str | None = None
+    """Storage of Optuna, e.g. postgresql://host/db. The default is a file in the folder."""
+    study_name: str | None = None
+    """Name of the search in --storage. The default is the name of the folder."""
+
+    def __post_init__(self) -> None:
+        for name in ("trials", "last", "prune_after"):
+            if getattr(self, name) is not None:
+                check_range(self, name, low=0 if name == "prune_after" else 1)
+        if self.storage is not None and "://" not in self.storage:
             raise ConfigError(
-                "--vary must name a setting and its values, each once, as in "
-                f"algorithm.skill_interval=5,10,25: got {self.vary!r}"
+                f"--storage must be a URL such as sqlite:///search.db, got {self.storage!r}"
             )
-        return name.strip().replace("-", "_"), found
+
+    @property
+    def resumed_run(self) -> None:
+        """None: a search has a preset, and each trial a configuration of its own."""
+
+    @property
+    def base(self) -> Path | None:
+        """File of settings that those of the command line change."""
+        if self.config is None and self.resume and self.run_dir is not None:
+            return self.run_dir / "preset.json"
+        return self.config
 
 
 @dataclass(frozen=True)

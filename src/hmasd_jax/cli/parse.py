@@ -53,7 +53,12 @@ def parse(cls: type[OptionsT], words: Sequence[str]) -> tuple[OptionsT, dict[str
         if name not in own and not issubclass(cls, RunOptions):
             raise ConfigError(f"unknown option --{name}{suggest(name, own)}")
         value = Text(value) if equals else _take_value(rest, own.get(name))
-        (given if name in own else overrides)[name] = value
+        if name not in own:
+            overrides[name] = value
+        elif own[name] == tuple[str, ...]:  # It may be repeated.
+            given[name] = (*given.get(name, ()), value)
+        else:
+            given[name] = value
     return from_table(cls, given), overrides
 
 
@@ -105,7 +110,7 @@ def load_config(options: RunOptions, overrides: dict[str, Text]) -> TrainConfig:
         raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
     if options.resumed_run is not None and options.config is None:
         return read_config(options.resumed_run, overrides)
-    return load(options.config, overrides)
+    return load(options.base, overrides)
 
 
 def drop_options(words: Sequence[str], *names: str) -> list[str]:

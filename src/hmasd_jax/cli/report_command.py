@@ -25,9 +25,12 @@ def report(options: ReportOptions) -> int:
 
         serve(options.runs, options.port, **settings)
         return 0
-    from hmasd_jax.report.page import count_tracked, write_report
+    from hmasd_jax.report.page import check_packages, count_tracked, write_report
+    from hmasd_jax.report.search_views import expand
 
-    total = sum(count_tracked(run, options.seeds) for run in options.runs)
+    check_packages()
+    folders = expand(options.runs)
+    total = sum(count_tracked(run, options.seeds) for run in folders)
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
     with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as progress:
         task = progress.add_task("playing and drawing skills", total=total)
@@ -42,5 +45,5 @@ def report(options: ReportOptions) -> int:
     print(f"{out} ({size:.1f} MB); open it in a browser")
     if size > options.megabytes:
         print(f"it is larger than {options.megabytes:g} MB: show fewer seeds with --seeds")
-    suggest_next("render", options.runs[0], "--out", "episode.gif")
+    suggest_next("render", folders[-1], "--out", "episode.gif")
     return 0

@@ -1,5 +1,6 @@
 """The commands that train: `train`, `seed_sweep` and `grid`, from settings to finished runs."""
 
+import dataclasses
 import shlex
 import signal
 import time
@@ -28,7 +29,7 @@ from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.training import distributed
 from hmasd_jax.training.distributed import ALONE, Group
 from hmasd_jax.training.executable_cache import use_cache
-from hmasd_jax.training.job import Event, Job
+from hmasd_jax.training.job import Event, Job, Watcher
 from hmasd_jax.training.loop import choose_layout, train_seeds
 from hmasd_jax.training.progress import Display
 from hmasd_jax.training.schedule import make_plan
@@ -59,7 +60,7 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     All values are checked before the first sweep starts. Each has a run folder named after it.
     """
     name, values = options.cells
-    root = options.run_dir or _default_folder(config)
+    root = options.run_dir or default_folder(config)
     runs = {value: root / f"{name.rpartition('.')[2]}_{value}" for value in values}
     cells = {value: from_json(override(to_json(config), {name: Text(value)})) for value in values}
     for cell in cells.values():
@@ -97,43 +98,68 @@ def _experiment(
 ) -> int:
     """Prepare the run folder, train and summarize; return the exit code.
 
+    Its arguments are those of `run_seeds`.
+    """
+    run = options.run_dir or default_folder(config)
+    options = dataclasses.replace(options, run_dir=run)
+    results = run_seeds(config, options, words, seeds, layout, group)
+    if not group.leads:
+        return exit_code(results)
+    again = shlex.join([words[0], "--run-dir", str(run), "--resume", *options.repeated])
+    return conclude(Console(), run, results, f"python -m hmasd_jax.train {again}")
+
+
+def run_seeds(
+    config: TrainConfig,
+    options: RunOptions,
+    words: list[str],
+    seeds: list[int],
+    layout: str,
+    group: Group = ALONE,
+    watcher: Watcher | None = None,
+) -> dict[int, Event]:
+    """Prepare the run folder and train; return the last event of each seed.
+
     Args:
         config: Settings of the run.
-        options: Options of the command.
+        options: Options of the command, `run_dir` included.
         words: Command line, the command's name first.
         seeds: Indices of the seeds, those of other processes included.
         layout: Layout of the seeds; `workers` starts processes, any other trains in this one.
         group: Processes that share the seeds.
+        watcher: Follows the training and may end it.
     """
     check_loggers(options.loggers)
     env, algorithm = build(config)  # Before anything is written: settings may not fit.
-    console = Console(quiet=not group.leads)
-    run = options.run_dir or _default_folder(config)
+    console, run = Console(quiet=not group.leads), options.run_dir
+    assert run is not None
     _prepare(run, config, options.resume, shell_command(words), group)
     mine = group.share(seeds)
     text = describe(config, seeds, run, layout, group)
     for line in filter(None, (text, use_cache())):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     display = Display(console, mine, make_plan(config).env_steps)
-    with stop_on_signal() as should_stop, display:
+    watchers = [display] if watcher is None else [display, watcher]
+
+    def report(event: Event) -> None:
+        for each in watchers:
+            each.handle(event)
+
+    with stop_on_signal() as interrupted, display:
         job = Job(
             run=run,
             config=config,
             env=env,
             algorithm=algorithm,
             loggers=options.loggers,
-            report=display.handle,
-            should_stop=should_stop,
+            report=report,
+            should_stop=lambda: interrupted() or (watcher is not None and watcher.should_stop()),
         )
         if layout == "workers":
             results = run_workers(job, mine, worker_cores(len(mine)))
         else:
             results = train_seeds(job, mine)
-    results = distributed.gather(group, run, results)
-    if not group.leads:
-        return exit_code(results)
-    again = shlex.join([words[0], "--run-dir", str(run), "--resume", *options.repeated])
-    return conclude(console, run, results, f"python -m hmasd_jax.train {again}")
+    return distributed.gather(group, run, results)
 
 
 def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], group: Group) -> None:
@@ -269,7 +295,8 @@ def exit_code(results: dict[int, Event]) -> int:
     return INTERRUPTED if "interrupted" in kinds else FAILED if "failed" in kinds else 0
 
 
-def _default_folder(config: TrainConfig) -> Path:
+def default_folder(config: TrainConfig) -> Path:
+    """Return a new folder under runs/, named after task and time."""
     names = to_json(config)
     task = f"{names['env']['name']}-{names['algorithm']['name']}"
     return Path("runs") / f"{task}-{time.strftime('%Y%m%d-%H%M%S')}"

@@ -46,8 +46,12 @@ def embed(figure: go.Figure, name: str, tools: bool = True) -> str:
 
 def new_figure(height: int, **layout: Any) -> go.Figure:
     """Return an empty figure in the style of the page."""
+    return dress(go.Figure(), height, **layout)
+
+
+def dress(figure: go.Figure, height: int, **layout: Any) -> go.Figure:
+    """Give a figure the style of the page, and return it."""
     axis = {"gridcolor": GRID, "zerolinecolor": GRID, "linecolor": GRID, "automargin": True}
-    figure = go.Figure()
     figure.update_layout(
         height=height,
         margin={"l": 10, "r": 10, "t": 36, "b": 10},

@@ -13,6 +13,7 @@ from hmasd_jax.analysis.skills import Track, conditions, count_skills
 from hmasd_jax.analysis.usefulness import table
 from hmasd_jax.config import to_json
 from hmasd_jax.report.gather import Run, gather
+from hmasd_jax.report.search_views import SearchView, expand, view_searches
 from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
@@ -43,7 +44,8 @@ def write_report(
     """Write a report of runs as one HTML file, and its data as CSV beside it.
 
     Args:
-        runs: Folders of runs, finished or still training. They are only read.
+        runs: Folders of runs, finished or still training. They are only read. The folder of a
+            search stands for its preset and its best trial.
         out: File to write, .html. `OUT_curves.csv` and `OUT_skills.csv` go beside it.
         episodes: Episodes per skill and condition.
         num_seeds: Most seeds per run whose skills are shown.
@@ -62,12 +64,13 @@ def write_report(
         ConfigError: The configuration of a run is not valid in this version.
     """
     check_packages()
-    runs = [Path(run) for run in runs]
-    for run in runs:
+    folders = expand(runs)
+    for run in folders:
         read_config(run)  # raises the errors
-    out = check_out(Path(out), runs)
-    found = gather_runs(runs, episodes, num_seeds, solved_at, track)
-    page = render_page(found, megabytes, track, [path.name for path in data_paths(out)])
+    out = check_out(Path(out), [Path(run) for run in runs])
+    found = gather_runs(folders, episodes, num_seeds, solved_at, track)
+    data = [path.name for path in data_paths(out)]
+    page = render_page(found, megabytes, track, data, searches=view_searches(runs))
     write_data(found, out)
     out.write_text(page, encoding="utf-8")
     return out
@@ -132,6 +135,7 @@ def render_page(
     track: Track = iter,
     data: Sequence[str] = (),
     live: str | None = None,
+    searches: Sequence[SearchView] = (),
 ) -> str:
     """Return the HTML of the page.
 
@@ -142,6 +146,7 @@ def render_page(
         data: Names of the files beside the page.
         live: Version of a served page, which loads itself again when the version has changed; None
             for a file.
+        searches: Searches that some of the runs belong to.
     """
     from markupsafe import Markup
     from plotly.offline import get_plotlyjs
@@ -172,6 +177,7 @@ def render_page(
         plotly=Markup(get_plotlyjs()),
         data=data,
         live=live,
+        searches=searches,
         version=version("hmasd_jax"),
         limit=megabytes,
     )

@@ -16,8 +16,11 @@ from urllib.parse import parse_qs
 from envs_jax.optional import require
 from hmasd_jax.report.drive import Driver
 from hmasd_jax.report.page import check_packages, gather_runs, render_page
+from hmasd_jax.report.search_views import expand, view_searches
 from hmasd_jax.runs.checkpoint import CheckpointError
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path, read_config, seeds_of
+from hmasd_jax.search.study import is_search, read_search
+from hmasd_jax.search.tables import count_states
 from hmasd_jax.validation import ConfigError
 
 if TYPE_CHECKING:
@@ -69,8 +72,9 @@ class LiveReport:
 
     def _fingerprint(self) -> str:
         """Return a text that changes with every new record and checkpoint."""
-        parts = []
-        for run in self._runs:
+        searches = [read_search(run) for run in self._runs if is_search(run)]
+        parts = [count_states(search) for search in searches]
+        for run in expand(self._runs):
             for seed in seeds_of(run):
                 metrics, folder = metrics_path(run, seed), checkpoint_folder(run, seed)
                 size = metrics.stat().st_size if metrics.is_file() else 0
@@ -186,17 +190,17 @@ def serve(
     import uvicorn
 
     runs = [Path(run) for run in runs]
-    for run in runs:
+    for run in expand(runs):
         read_config(run)  # raises the errors
     bound = bind(port)
 
     def make(version: str) -> str:
-        found = gather_runs(runs, episodes, num_seeds, solved_at, iter)
-        return render_page(found, megabytes, live=version)
+        found = gather_runs(expand(runs), episodes, num_seeds, solved_at, iter)
+        return render_page(found, megabytes, live=version, searches=view_searches(runs))
 
     live = LiveReport(runs, make)
     threading.Thread(target=live.watch, daemon=True).start()
-    app = make_app(live, partial(_first_driver, runs[0]))
+    app = make_app(live, partial(_first_driver, expand(runs)[0]))
     print(f"http://{LOOPBACK}:{bound.getsockname()[1]} (Ctrl-C stops it)", flush=True)
     with bound:
         uvicorn.Server(uvicorn.Config(app, log_level="warning")).run(sockets=[bound])

@@ -76,6 +76,8 @@ def read_config(run: Path, overrides: Mapping[str, Any] | None = None) -> TrainC
     """
     path = run / "config.json"
     if not path.is_file():
+        if (run / "study.json").is_file():
+            raise RunError(f"{run} is a search: name one of its trials, e.g. {run / 'trial_0'}")
         raise RunError(f"{run} is not a run folder: it has no config.json")
     saved = read_table(path)
     if not all("name" in subtable(saved, name) for name in ("env", "algorithm")):
@@ -189,15 +191,30 @@ def lock(run: Path, index: int) -> Iterator[None]:
     Raises:
         RunError: Another process is training the seed.
     """
-    folder = seed_folder(run, index)
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / ".lock").open("w") as file:
-        if fcntl is not None:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise RunError(f"another process is training {folder}: wait for it") from error
+    path = seed_lock(run, index)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with hold(path) as is_held:
+        if not is_held:
+            raise RunError(f"another process is training {path.parent}: wait for it")
         yield
+
+
+def seed_lock(run: Path, index: int) -> Path:
+    """Return the lock file that the process which trains a seed holds."""
+    return seed_folder(run, index) / ".lock"
+
+
+@contextmanager
+def hold(path: Path) -> Iterator[bool]:
+    """Hold a lock file if no other process does, and yield whether this one does."""
+    with path.open("w") as file:
+        try:
+            if fcntl is not None:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_held = True
+        except BlockingIOError:
+            is_held = False
+        yield is_held
 
 
 @contextmanager

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from envs_jax import Environment
 from hmasd_jax.config import TrainConfig
@@ -21,6 +21,18 @@ class Event(NamedTuple):
     """Index of the seed."""
     data: dict[str, Any]
     """The record of a `train` or `eval` event. Otherwise numbers, or a `message`."""
+
+
+class Watcher(Protocol):
+    """A part that follows a run in training and may end it early."""
+
+    def handle(self, event: Event) -> None:
+        """Take note of an event."""
+        ...
+
+    def should_stop(self) -> bool:
+        """Return True to end the run; what is trained is saved."""
+        ...
 
 
 class Job(NamedTuple):

@@ -1,0 +1,1 @@
+"""Search of settings: its space, its trials in Optuna's storage, and their scores."""
