@@ -65,10 +65,22 @@ def test_q_d_of_battles_sees_whom_an_agent_shot_at(scenario):
     assert seen == set(range(enemies))
 
 
-def test_the_general_preset_has_the_same_settings_of_the_algorithm_in_all_tasks():
-    paths = sorted(CONFIGS.glob("**/hmasd_general.toml"))
+@pytest.mark.parametrize("name", ["hmasd_general", "mappo_general"])
+def test_the_general_presets_have_the_same_settings_of_the_algorithm_in_all_tasks(name):
+    paths = sorted(CONFIGS.glob(f"**/{name}.toml"))
     assert len(paths) == 7
     assert len({load(path).algorithm for path in paths}) == 1
+
+
+def test_mappo_has_the_exploration_parts_of_the_general_preset():
+    """Its reward is the team's, which HMASD's low level sees multiplied by lambda_e."""
+    general, mappo = (
+        load(CONFIGS / f"alice_and_bob/{x}_general.toml").algorithm for x in ("hmasd", "mappo")
+    )
+    assert (mappo.ppo, mappo.imitation) == (general.ppo, general.imitation)
+    assert mappo.entropy_coef == general.low_entropy_coef
+    coef = general.frontier.coef / general.extrinsic_coef
+    assert mappo.frontier == dataclasses.replace(general.frontier, coef=coef)
 
 
 def test_the_quick_sweep_runs_the_general_preset():
