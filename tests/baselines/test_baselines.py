@@ -30,7 +30,8 @@ def _mappo(state, transitions, env, memory, order):
     parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
     transitions = jax.tree.map(lambda x: x[:, order], transitions)
     env, memory = jax.tree.map(lambda x: x[order], (env, memory))
-    batch = mappo.make_batch(parts, state, transitions, env, memory.critic)
+    reward = transitions.outcome.reward[..., None]
+    batch = mappo.make_batch(parts, state, transitions, env, memory.critic, reward)
     return mappo.mappo_loss(parts, state.learner.params, state.norm, batch)
 
 

@@ -176,7 +176,8 @@ def test_mappo(name, fields):
         critic, value = parts.networks.value(params, begin.critic, seen, steps.first)
         learner = Learner(params, parts.optimizer.init(params))
         state = mappo.MAPPOState(None, 0, env, end, learner, value_norm)
-        batch = mappo.make_batch(parts, state, steps, env, end.critic)
+        reward = steps.outcome.reward[..., None]
+        batch = mappo.make_batch(parts, state, steps, env, end.critic, reward)
         trained = ppo_epochs(
             parts.optimizer, partial(mappo.mappo_loss, parts), learner, value_norm, batch,
             jax.random.key(0), config.ppo,

@@ -4,9 +4,10 @@ The behavior is that of on-policy's `r_mappo`. The last axis of values is V: one
 for all agents, or one per agent (`MAPPOConfig.critic_input`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -77,6 +78,20 @@ class MAPPOState(NamedTuple):
     successes: Any = ()
 
 
+class Learned(Protocol):
+    """State of training, as far as acting and evaluating need it."""
+
+    @property
+    def learner(self) -> Learner:
+        """Parameters of actor and critic."""
+        ...
+
+    @property
+    def norm(self) -> ValueNorm:
+        """Units of the critic."""
+        ...
+
+
 class Extras(NamedTuple):
     """Record of a step that the update needs."""
 
@@ -144,8 +159,10 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
     obs, state = env.timestep.obs[None], critic_input(parts.config, env.timestep)[None]
     actor, critic = parts.networks.actor, parts.networks.critic
     params = {
-        "actor": actor.init(key_actor, memory.actor, obs, jnp.ones(obs.shape[:-1], bool)),
-        "critic": critic.init(key_critic, memory.critic, state, jnp.ones(state.shape[:-1], bool)),
+        "actor": actor.init(key_actor, memory.actor, obs, jnp.ones(obs.shape[:-1], bool), None),
+        "critic": critic.init(
+            key_critic, memory.critic, state, jnp.ones(state.shape[:-1], bool), None
+        ),
     }
     learner = Learner(params, parts.optimizer.init(params))
     return MAPPOState(
@@ -185,7 +202,7 @@ def critic_input(config: MAPPOConfig, timestep: TimeStep) -> Float[Array, "*batc
     return jnp.concatenate([seen, index], axis=-1)
 
 
-def make_policy(parts: Parts, state: MAPPOState, greedy: bool = True) -> Policy:
+def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
     """Build the policy for execution, which needs the actor alone."""
 
     def init(batch_shape: tuple[int, ...] = ()) -> Float[Array, "*batch N hidden"]:
@@ -220,11 +237,12 @@ def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
 
 def make_batch(
     parts: Parts,
-    state: MAPPOState,
+    state: Learned,
     transitions: Transition,
     env: EnvCarry,
     memory: Array,
-    bonus: Float[Array, "T E"],
+    reward: Float[Array, "T E #N"],
+    normalize: Callable[[Array, Array], Array] = normalize_advantage,
 ) -> SequenceBatch:
     """Compute advantages and targets of a rollout, and cut it into sequences of L steps.
 
@@ -234,7 +252,8 @@ def make_batch(
         transitions: (T, E, ...), with `Extras`.
         env: the copies after the last step.
         memory: memory of the critic after the last step.
-        bonus: exploration bonus of each step, beside the team reward.
+        reward: rewards of the agents or of the team, with any exploration bonus.
+        normalize: function of the advantages (T, E, N), and of whether each agent has a choice.
     """
     params, extras, outcome = state.learner.params, transitions.extras, transitions.outcome
     timestep, config = transitions.timestep, parts.config
@@ -247,9 +266,8 @@ def make_batch(
         return parts.networks.value(params, after, critic_input(config, outcome), never)[1]
 
     advantage, target = rollout_advantage(
-        (outcome.reward + bonus)[..., None], extras.value, last_value, outcome, value_of_outcome,
-        state.norm, config.ppo,
-    )  # fmt: skip
+        reward, extras.value, last_value, outcome, value_of_outcome, state.norm, config.ppo
+    )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
     steps = SequenceBatch(
         memory=extras.memory,
@@ -260,7 +278,7 @@ def make_batch(
         action=transitions.action,
         log_prob=extras.log_prob,
         value=extras.value,
-        advantage=normalize_advantage(advantage, has_choice(timestep.action_mask)),
+        advantage=normalize(advantage, has_choice(timestep.action_mask)),
         target=target,
     )
     return sequences(steps, config.ppo.sequence_length)
@@ -291,7 +309,8 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     bonus_state, bonus, bonus_metrics = parts.bonus.update(
         state.bonus, transitions.outcome, key_bonus
     )
-    batch = make_batch(parts, state, transitions, env, memory.critic, bonus)
+    reward = (transitions.outcome.reward + bonus)[..., None]
+    batch = make_batch(parts, state, transitions, env, memory.critic, reward)
     learner, norm, metrics = ppo_epochs(
         parts.optimizer, partial(mappo_loss, parts), state.learner, state.norm, batch, key_epochs,
         ppo,

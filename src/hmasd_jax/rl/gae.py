@@ -66,19 +66,34 @@ def rollout_advantage(
         norm: units of the critic.
         config: discount, lambda, and the treatment of time limits.
     """
-    next_value, terminated = following(value, last_value), outcome.done
-    if config.bootstrap_truncation:
-        next_value = jnp.where(outcome.truncated[..., None], value_of_outcome(), next_value)
-        terminated = outcome.terminated
+    next_value, terminated = values_after(value, last_value, outcome, value_of_outcome, config)
     return gae(
         reward,
         denormalize(norm, value),
         denormalize(norm, next_value),
-        terminated[..., None],
+        terminated,
         outcome.done[..., None],
         config.discount,
         config.gae_lambda,
     )
+
+
+def values_after(
+    value: Float[Array, "T E #N"],
+    last_value: Float[Array, "E #N"],
+    outcome: TimeStep,
+    value_of_outcome: Callable[[], Float[Array, "T E #N"]],
+    config: PPOConfig,
+) -> tuple[Float[Array, "T E #N"], Bool[Array, "T E 1"]]:
+    """Return the value of what each step led to, and whether that value counts as 0 instead.
+
+    The arguments are those of `rollout_advantage`.
+    """
+    next_value, terminated = following(value, last_value), outcome.done
+    if config.bootstrap_truncation:
+        next_value = jnp.where(outcome.truncated[..., None], value_of_outcome(), next_value)
+        terminated = outcome.terminated
+    return next_value, terminated[..., None]
 
 
 def normalize_advantage(
