@@ -4,6 +4,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from envs_jax import Environment
+from hmasd_jax.baselines.eiti.algorithm import make_edti, make_eiti
+from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig
 from hmasd_jax.baselines.ippo import IPPOConfig, make_ippo
 from hmasd_jax.baselines.mappo import MAPPOConfig, make_mappo
 from hmasd_jax.baselines.mat import MATConfig, make_mat
@@ -25,6 +27,8 @@ class AlgorithmEntry(NamedTuple):
 
 
 ALGORITHMS: dict[str, AlgorithmEntry] = {
+    "edti": AlgorithmEntry(EDTIConfig, make_edti),
+    "eiti": AlgorithmEntry(EITIConfig, make_eiti),
     "hmasd": AlgorithmEntry(HMASDConfig, make_hmasd),
     "ippo": AlgorithmEntry(IPPOConfig, make_ippo),
     "mappo": AlgorithmEntry(MAPPOConfig, make_mappo),

@@ -5,11 +5,16 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from envs_jax.overcooked import features
+from envs_jax.overcooked.environment import REWARD
+from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig, LocalStateConfig
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig
 from hmasd_jax.config import from_json, load, to_json
 from hmasd_jax.config.presets import find_preset
+from hmasd_jax.rl.ppo import PPOConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 EAST = 4
@@ -90,6 +95,7 @@ def test_battles_recorded_before_the_state_had_its_own_format_keep_theirs():
 
 
 PYMARL = ("maser", "qmix", "vdn")
+INFLUENCE = ("eiti", "edti")
 OWN_TO_A_TASK = {"rollout_length", "gradient_steps"}
 
 
@@ -113,7 +119,8 @@ def test_all_algorithms_have_a_preset_for_every_task_and_the_same_budget():
     papers = sorted(CONFIGS.glob("**/hmasd.toml"))
     assert len(papers) == 7
     for path in papers:
-        for name in ("mappo", "ippo", "mat", *PYMARL):
+        names = ("mappo", "ippo", "mat", *PYMARL)
+        for name in names + (INFLUENCE if "overcooked" in path.parts else ()):
             config, of_paper = load(path.with_name(f"{name}.toml")), load(path)
             assert config.total_env_steps == of_paper.total_env_steps
             assert config.eval_interval == of_paper.eval_interval
@@ -122,3 +129,30 @@ def test_all_algorithms_have_a_preset_for_every_task_and_the_same_budget():
             for table in tables:
                 table.pop("observation"), table.pop("state", None)
             assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/eiti.toml")), ids=lambda path: path.parent.name
+)
+def test_presets_with_influence_scale_the_authors_weights_to_the_reward(path):
+    eiti, edti, ippo = (load(path.with_name(f"{name}.toml")) for name in (*INFLUENCE, "ippo"))
+    assert eiti.algorithm.ppo == edti.algorithm.ppo == ippo.algorithm.ppo
+    assert eiti.algorithm.local_state == edti.algorithm.local_state
+    scale = REWARD / 1000  # rewards of the authors' tasks
+    defaults = EITIConfig(), EDTIConfig()
+    for config, default in zip((eiti.algorithm, edti.algorithm), defaults):
+        assert config.curiosity_coef == pytest.approx(10 * scale)
+        assert default.curiosity_coef == pytest.approx(10 / 1000)
+    assert eiti.algorithm.influence_coef == pytest.approx(scale)
+    # The other weights of EDTI have no unit, and are those of the defaults.
+    scaled = {"curiosity_coef": 0.01, "local_state": LocalStateConfig(), "ppo": PPOConfig()}
+    assert dataclasses.replace(edti.algorithm, **scaled) == EDTIConfig()
+
+
+def test_local_states_of_overcooked_are_cell_orientation_item_and_pots():
+    config = load(CONFIGS / "overcooked/cramped_room/eiti.toml")
+    chosen = config.algorithm.local_state.features
+    pot = np.arange(1, 6)  # is empty, full, cooking, ready; onions
+    own = [*range(features.TO_ONIONS), features.SOUP_ONIONS]
+    pots = [features.FIRST_POT + place * features.POT_FEATURES + pot for place in range(2)]
+    assert list(chosen) == [*own, *np.concatenate(pots), *range(features.XY.start, 96)]
