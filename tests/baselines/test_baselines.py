@@ -18,6 +18,7 @@ from hmasd_jax.baselines.mat import MATConfig, make_mat
 from hmasd_jax.rl import rollout
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.ppo import PPOConfig
+from tests.helpers.algorithms import assert_no_key_is_used_twice
 
 ENV = AliceAndBob(max_steps=7)  # episodes end inside sequences of 5 steps
 PPO = PPOConfig(
@@ -136,17 +137,7 @@ def test_metrics_are_finite_scalars_named_as_those_of_hmasd(trained):
     ("make", "config"), [(make_mappo, MAPPOConfig(ppo=PPO)), (make_mat, MATConfig(ppo=PPO))]
 )
 def test_no_key_is_used_twice(make, config):
-    algorithm = make(ENV, config)
-
-    def init_update_act(key):
-        key_init, key_act = jax.random.split(key)
-        state, _ = algorithm.update(algorithm.init(key_init))
-        policy = algorithm.policy(state, greedy=False)
-        memory = policy.init((PPO.num_envs,))
-        return policy.step(memory, state.env.timestep, state.env.first, key_act)
-
-    with jax.debug_key_reuse(True):
-        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
+    assert_no_key_is_used_twice(make(ENV, config), PPO.num_envs)
 
 
 @pytest.mark.parametrize(

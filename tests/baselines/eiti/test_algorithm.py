@@ -22,6 +22,7 @@ from hmasd_jax.rl.sgd import make_optimizer
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import EnvCarry, Learner
 from hmasd_jax.validation import ConfigError
+from tests.helpers.algorithms import assert_no_key_is_used_twice
 
 ENV = AliceAndBob(max_steps=7)  # episodes end inside sequences of 5 steps
 PPO = PPOConfig(
@@ -82,17 +83,7 @@ def test_agents_share_no_weights(trained):
 
 def test_no_key_is_used_twice():
     make, config = MAKE["edti"]
-    pure = make(ENV, config)
-
-    def init_update_act(key):
-        key_init, key_act = jax.random.split(key)
-        state, _ = pure.update(pure.init(key_init))
-        policy = pure.policy(state, greedy=False)
-        memory = policy.init((PPO.num_envs,))
-        return policy.step(memory, state.env.timestep, state.env.first, key_act)
-
-    with jax.debug_key_reuse(True):
-        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
+    assert_no_key_is_used_twice(make(ENV, config), PPO.num_envs)
 
 
 def random_batch(rng):

@@ -89,6 +89,15 @@ def test_bonuses_equal_a_slow_count_with_three_agents():
     assert (influence < 0).any()
 
 
+def test_the_table_is_never_copied():
+    table, keys = tables.init(2**18), np.zeros((20, 4, 2), np.uint32)
+    keys = counts.StepKeys(*5 * [keys])
+    seeds = jax.tree.map(lambda x: np.stack([x, x]), (table, keys))
+    for count, inputs in ((counts.count, (table, keys)), (jax.vmap(counts.count), seeds)):
+        compiled = jax.jit(count, donate_argnums=0).lower(*inputs).compile()
+        assert compiled.memory_analysis().temp_size_in_bytes < table.nbytes / 10
+
+
 def test_only_the_agent_that_another_depends_on_has_influence():
     """Agent 1 moves to where agent 0 points, so p(s') is 1/2 and 1 once the action is known."""
     rng = np.random.default_rng(2)

@@ -15,6 +15,7 @@ from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.baselines.qmix.algorithm import make_maser, make_vdn
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig, QMIXConfig, VDNConfig
 from hmasd_jax.rl.evaluate import evaluate
+from tests.helpers.algorithms import assert_no_key_is_used_twice
 
 ENV = AliceAndBob(max_steps=7)  # episodes run on from one rollout to the next
 TINY = QLearningConfig(
@@ -91,16 +92,7 @@ def test_seeds_in_one_program_learn_what_they_learn_alone(run):
 @pytest.mark.parametrize("name", CONFIGS)
 def test_no_key_is_used_twice(name):
     algorithm = ALGORITHMS[name].make(ENV, CONFIGS[name](q_learning=TINY))
-
-    def init_update_act(key):
-        key_init, key_act = jax.random.split(key)
-        state, _ = algorithm.update(algorithm.init(key_init))
-        policy = algorithm.policy(state, greedy=False)
-        memory = policy.init((TINY.num_envs,))
-        return policy.step(memory, state.env.timestep, state.env.first, key_act)
-
-    with jax.debug_key_reuse(True):
-        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
+    assert_no_key_is_used_twice(algorithm, TINY.num_envs)
 
 
 def test_too_small_a_buffer_is_refused():

@@ -28,8 +28,8 @@ class LocalStateConfig:
 class InfluenceConfig:
     """Settings that EITI and EDTI share.
 
-    The weights of the defaults are the authors' for rewards up to 1, a thousandth of those of their
-    tasks.
+    Default weights are those of the authors' command for their task Pass, for rewards of 1 instead
+    of 1000: a thousandth of them, where they have the unit of a reward.
     """
 
     entropy_coef: float = 0.01
@@ -52,7 +52,8 @@ class EITIConfig(InfluenceConfig):
     """Settings of EITI."""
 
     influence_coef: float = 0.001
-    """beta_T: weight of an agent's influence on the transitions of the others."""
+    """beta_T: weight of an agent's influence on the transitions of the others. The authors' command
+    names none; the default is 1 for their rewards of 1000."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -87,18 +87,24 @@ def count(table: Table, keys: StepKeys) -> tuple[Table, Explored]:
     """
     i, j = pairs(keys.alone.shape[-1])
 
-    def step(table: Table, keys: StepKeys):
-        for key in keys[1:]:
+    def step(table: Table, inputs):
+        (visit, *transitions), last_visit, has_last = inputs
+        table = tables.add(table, last_visit, has_last)
+        for key in transitions:
             table = tables.add(table, key)
         alone, alone_next, given_other, given_other_next = (
-            tables.read(table, key) for key in keys[1:]
+            tables.read(table, key) for key in transitions
         )
         # Counts of keys that share their slots may exceed what they are a part of.
         likely = jnp.minimum(alone_next / alone, 1.0)
         likely_given_other = jnp.minimum(given_other_next / given_other, 1.0)
         influence = 1.0 - likely[..., j] / likely_given_other
         by_pair = jnp.zeros((*likely.shape, likely.shape[-1])).at[..., i, j].set(influence)
-        novelty = jax.lax.rsqrt(tables.read(table, keys.visit) + 1.0)
-        return tables.add(table, keys.visit), Explored(novelty, by_pair)
+        novelty = jax.lax.rsqrt(tables.read(table, visit) + 1.0)
+        return table, Explored(novelty, by_pair)
 
-    return jax.lax.scan(step, table, keys)
+    # Visits are added one step later, so that the table is never read before it is written.
+    has_last = (jnp.arange(len(keys.visit)) > 0).astype(jnp.int32)
+    last_visit = jnp.roll(keys.visit, 1, axis=0)
+    table, explored = jax.lax.scan(step, table, (keys, last_visit, has_last))
+    return tables.add(table, keys.visit[-1]), explored

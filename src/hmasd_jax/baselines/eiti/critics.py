@@ -4,7 +4,6 @@ They learn like the critic of PPO, each from its own reward, and act on nothing.
 number; those of one agent are side by side.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -133,24 +132,20 @@ def train(
         reward, denormalize(critics.norm, evaluated.value), evaluated.after,
         jnp.zeros_like(done), done, config.discount, config.gae_lambda,
     )  # fmt: skip
+    by_step = {
+        "first": jnp.broadcast_to(transitions.first[..., None], target.shape),
+        "obs": _inputs(transitions.timestep),
+        "value": evaluated.value,
+        "target": target,
+    }
+    length = config.sequence_length
+    memory = rollouts.flatten(evaluated.memory[::length])
     batch = CriticBatch(
-        memory=evaluated.memory,
-        first=jnp.broadcast_to(transitions.first[..., None], target.shape),
-        obs=_inputs(transitions.timestep),
-        value=evaluated.value,
-        target=target,
-    )
-    memory = rollouts.flatten(batch.memory[:: config.sequence_length])
-    batch = rollouts.cut(batch._replace(memory=()), config.sequence_length)
-    batch = batch._replace(memory=memory)
-    batch = batch._replace(
         memory=jnp.moveaxis(memory, 1, 0),
-        **{name: jnp.moveaxis(getattr(batch, name), 2, 0) for name in CriticBatch._fields[1:]},
+        **{name: jnp.moveaxis(x, 2, 0) for name, x in rollouts.cut(by_step, length).items()},
     )
-    learn: Callable = partial(_learn, parts)
-    learner, norm, metrics = jax.vmap(learn, in_axes=(0, 0, 0, None))(
-        critics.learner, critics.norm, batch, key
-    )
+    learn = jax.vmap(partial(_learn, parts), in_axes=(0, 0, 0, None))
+    learner, norm, metrics = learn(critics.learner, critics.norm, batch, key)
     critics = Critics(learner=learner, norm=norm, memory=evaluated.last_memory)
     return critics, {f"critics/{name}": x.mean() for name, x in metrics.items()}
 

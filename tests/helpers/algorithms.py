@@ -1,0 +1,17 @@
+"""Checks that hold for every algorithm."""
+
+import jax
+
+
+def assert_no_key_is_used_twice(algorithm, num_envs):
+    """Trace init, update and acting under JAX's check of key reuse."""
+
+    def init_update_act(key):
+        key_init, key_act = jax.random.split(key)
+        state, _ = algorithm.update(algorithm.init(key_init))
+        policy = algorithm.policy(state, greedy=False)
+        memory = policy.init((num_envs,))
+        return policy.step(memory, state.env.timestep, state.env.first, key_act)
+
+    with jax.debug_key_reuse(True):
+        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
