@@ -2,8 +2,7 @@
 
 Agents are indexed by i, which acts, and j, whose transition is counted. s, a and s' are local
 state, action and next local state. The authors count displacements of j instead of s'_j, which is
-the same where s_j is given. Unlike them we count the first step of an episode, too, and the last
-step has the true last observation, not that of the next episode.
+the same where s_j is given. They leave out the first step of an episode, which is counted here.
 """
 
 from typing import NamedTuple
