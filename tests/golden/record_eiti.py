@@ -10,6 +10,7 @@ original uses the end of the first copy for all, and values of the next episode.
 
 import argparse
 import sys
+import tempfile
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from unittest.mock import MagicMock
@@ -52,7 +53,8 @@ def settings(method: str) -> SimpleNamespace:
         coefs |= {"gamma_coor_t": 0.5}
     return SimpleNamespace(
         **coefs, n_agent=N, size=SIZE, n_action=ACTIONS, env_n_dim=2, env="pass", num_env=E,
-        s_data_gather=True, s_alg_name="", symmetry=False, t_save_rate=1, save_path="",
+        s_data_gather=True, s_alg_name="", symmetry=False, t_save_rate=1,
+        save_path=tempfile.mkdtemp() + "/",
         t=method == "eiti", tv=False, r=False, v=False, r_tv=method == "edti",
     )  # fmt: skip
 
