@@ -1,6 +1,7 @@
 """Settings that must stand before jax is imported: tests are bound by compile time."""
 
 import atexit
+import gc
 import os
 import shutil
 import tempfile
@@ -20,6 +21,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = programs
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+
+gc.set_threshold(50_000)  # Tracing makes many objects; looking for garbage takes a fifth of it.
 
 settings.register_profile("default", deadline=None, max_examples=60)
 settings.register_profile("long", deadline=None, max_examples=5000)
