@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks import growth, maser, training, versions
 from benchmarks.time_to_solve import Curve, measured, recorded, solve
 from tests.helpers.runs import write_run
 
@@ -18,15 +19,38 @@ KEYS = {
 }  # fmt: skip
 
 
-def run(script, *words):
-    """Rows that a benchmark prints in its quick mode."""
-    command = [sys.executable, f"benchmarks/{script}", "--quick", "--repeats", "1", "--json"]
-    done = subprocess.run([*command, *words], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
+QUICK = ("--quick", "--repeats", "1", "--json")
+
+
+def rows_in(text):
+    """Rows that a benchmark printed."""
+    rows = [json.loads(line) for line in text.splitlines()]
     for row in rows:
         assert set(row) >= KEYS
     return rows
+
+
+def run(script, *words):
+    """Rows of a benchmark that runs in processes of its own."""
+    command = [sys.executable, f"benchmarks/{script}", *QUICK, *words]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    return rows_in(done.stdout)
+
+
+@pytest.fixture
+def run_here(monkeypatch, capsys):
+    """`run_here(module, *words)`: rows of a benchmark that measures in this process."""
+
+    def run_here(module, *words):
+        monkeypatch.setattr(sys, "argv", [module.__file__, *QUICK, *words])
+        call = lambda function, *args, core=None: function(*args)  # noqa: E731
+        monkeypatch.setattr(module, "isolated", call, raising=False)
+        monkeypatch.setattr(module, "pin", lambda core: None, raising=False)
+        module.main()
+        return rows_in(capsys.readouterr().out)
+
+    return run_here
 
 
 def test_environments():
@@ -37,8 +61,8 @@ def test_environments():
     assert row["gflops"] is None
 
 
-def test_training_is_split_into_its_parts():
-    everything = run("training.py")
+def test_training_is_split_into_its_parts(run_here):
+    everything = run_here(training)
     compiled, rows = everything[:3], everything[3:]
     assert [row["name"] for row in compiled] == ["init, all cores", "update, all cores", "init"]
     assert all(row["compile_s"] > 0 for row in compiled)
@@ -56,15 +80,15 @@ def test_seeds_in_every_layout():
     assert [(row["layout"], row["seeds"]) for row in rows] == [("workers", 2), ("sharded", 2)]
 
 
-def test_growth_draws_what_it_measured(tmp_path):
-    (row,) = run("growth.py", "--out", str(tmp_path / "growth.png"))
+def test_growth_draws_what_it_measured(run_here, tmp_path):
+    (row,) = run_here(growth, "--out", str(tmp_path / "growth.png"))
     assert row["name"] == "num_agents 3"
     assert (tmp_path / "growth.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.skipif(not (ROOT / ".git").exists(), reason="needs the repository's history")
-def test_versions_of_this_repository():
-    rows = run("versions.py", "HEAD", ".", "--algorithm", "mappo")
+def test_versions_of_this_repository(run_here):
+    rows = run_here(versions, "HEAD", ".", "--algorithm", "mappo")
     assert rows[0]["ratio"] == 1
     assert rows[1]["name"].startswith("this checkout")
     for row in rows:
@@ -84,11 +108,11 @@ def test_compare_with_jaxmarl():
     assert theirs["name"] == "JaxMARL overcooked cramped_room, 2 copies"
 
 
-def test_maser_beside_a_process_that_answers_half_a_second(tmp_path):
+def test_maser_beside_a_process_that_answers_half_a_second(run_here, tmp_path):
     original = tmp_path / "python"
     original.write_text("#!/bin/sh\nwhile read line; do echo 0.5; done\n")
     original.chmod(0o755)
-    theirs, ours = run("maser.py", "--python", str(original), "--checkout", "none")
+    theirs, ours = run_here(maser, "--python", str(original), "--checkout", "none")
     assert (theirs["name"], ours["name"]) == ("original", "hmasd_jax")
     assert theirs["env_steps_per_cpu_s"] == 60 / 0.5  # steps of the longest battle in 3m
     assert ours["ratio"] == pytest.approx(ours["env_steps_per_cpu_s"] / 120)

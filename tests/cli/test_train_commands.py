@@ -145,7 +145,8 @@ def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
 def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, layout, tmp_path):
     command = [sys.executable, toy.__file__, "seed_sweep", "--run-dir", str(tmp_path / "run")]
     # Two devices for three seeds, so that sharding must pad.
-    env = os.environ | {"XLA_FLAGS": "--xla_force_host_platform_device_count=2"}
+    flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
+    env = os.environ | {"XLA_FLAGS": flags}
     done = subprocess.run(
         [*command, *words(layout=layout)], capture_output=True, text=True, env=env
     )

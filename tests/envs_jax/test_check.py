@@ -38,9 +38,9 @@ def test_step_is_traced_once(name):
         return env.step(key, env_state, action)
 
     key = jax.random.key(0)
-    env_state, _ = jax.jit(env.reset)(key)
+    env_state, _ = jax.eval_shape(env.reset, key)
     for _ in range(2):
-        env_state, _ = step(key, env_state, jnp.zeros(env.num_agents, jnp.int32))
+        env_state, _ = step.eval_shape(key, env_state, jnp.zeros(env.num_agents, jnp.int32))
     assert len(traces) == 1
 
 

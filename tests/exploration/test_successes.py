@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 
 import envs_jax
@@ -24,6 +25,11 @@ PPO = PPOConfig(num_envs=2, rollout_length=4, sequence_length=2, hidden_size=8)
 PARTS = mappo.make_parts(
     ENV, MAPPOConfig(imitation=ImitationConfig(coef=1.0, capacity=3, inserts=2, steps=5), ppo=PPO)
 )
+
+
+@pytest.fixture(scope="module")
+def learner():
+    return jax.jit(lambda key: mappo.init_state(PARTS, key).learner)(jax.random.key(0))
 
 
 def _batch(num_sequences, action=0):
@@ -72,13 +78,12 @@ def test_a_rollout_without_reward_stores_nothing():
     jax.tree.map(np.testing.assert_array_equal, after, store)
 
 
-def test_the_loss_weighs_log_probabilities_and_averages_over_empty_slots_too():
-    env_carry_params = mappo.init_state(PARTS, jax.random.key(0)).learner.params
+def test_the_loss_weighs_log_probabilities_and_averages_over_empty_slots_too(learner):
     batch = _batch(1, action=2)
     store, _ = insert(PARTS.imitation.init(), batch, jnp.array([[2.0, 4.0]]), 2, jax.random.key(0))
-    loss = imitation_loss(env_carry_params, PARTS.networks, store)
+    loss = imitation_loss(learner.params, PARTS.networks, store)
     _, distribution = PARTS.networks.act(
-        env_carry_params, batch.memory.actor, batch.obs.swapaxes(0, 1),
+        learner.params, batch.memory.actor, batch.obs.swapaxes(0, 1),
         batch.action_mask.swapaxes(0, 1), batch.first.swapaxes(0, 1),
     )  # fmt: skip
     log_prob = np.asarray(distribution.log_prob(jnp.full((2, 1, ENV.num_agents), 2)))
@@ -87,8 +92,9 @@ def test_the_loss_weighs_log_probabilities_and_averages_over_empty_slots_too():
     assert_allclose(loss, expected, rtol=1e-5)
 
 
-def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_changes_nothing():
-    learner = mappo.init_state(PARTS, jax.random.key(0)).learner
+def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_changes_nothing(
+    learner,
+):
     empty = PARTS.imitation.init()
     same, _ = jax.jit(PARTS.imitation.train)(empty, learner)
     jax.tree.map(np.testing.assert_array_equal, same, learner)

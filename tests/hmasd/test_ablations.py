@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ def _assign(parts, greedy=False, skills=None, copies=4000):
     env = parts.env
     state, obs = jnp.zeros((1, env.state_dim)), jnp.zeros((1, env.num_agents, env.obs_dim))
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
-    params = parts.coordinator.init(jax.random.key(0), state, obs, tokens)
+    params = jax.jit(parts.coordinator.init)(jax.random.key(0), state, obs, tokens)
     state, obs = (jnp.repeat(x, copies, axis=0) for x in (state, obs))
     allowed = None if skills is None else only(parts, skills)
     return jax.device_get(
@@ -39,8 +40,13 @@ def _assign(parts, greedy=False, skills=None, copies=4000):
     )
 
 
-def _rollout(parts, algorithm):
-    state = algorithm.init(jax.random.key(0))
+@cache
+def _initial(env, config):
+    return jax.jit(make_hmasd(env, config).init)(jax.random.key(0))
+
+
+def _rollout(parts):
+    state = _initial(parts.env, parts.config)
     learners = state.coordinator.params, state.discoverer.params
     run = jax.jit(lambda *args: collect(parts, *args))
     return state, run(*learners, state.env, state.memory, jax.random.key(1))
@@ -62,9 +68,10 @@ def test_without_individual_skills_all_agents_have_the_teams(parts, team_only, g
 def test_without_individual_skills_only_the_teams_is_trained(parts, team_only):
     """The agents' advantages have no effect on the gradient of Eq. 6."""
     parts = make_parts(parts.env, team_only)
-    state, rollout = _rollout(parts, make_hmasd(parts.env, team_only))
+    state, rollout = _rollout(parts)
     params, norm = state.coordinator.params, state.coordinator_norm
-    batch = high_batch(parts, params, norm, rollout, jax.random.key(0))
+    make_batch = jax.jit(lambda *args: high_batch(parts, *args))
+    batch = make_batch(params, norm, rollout, jax.random.key(0))
     noise = jax.random.normal(jax.random.key(2), batch.advantage.shape)
 
     @jax.jit
@@ -90,7 +97,7 @@ def test_without_a_coordinator_skills_are_uniform(parts, random, greedy):
 
 def test_without_a_coordinator_skills_last_for_the_episode(parts, random):
     parts = make_parts(parts.env, random)
-    _, rollout = _rollout(parts, make_hmasd(parts.env, random))
+    _, rollout = _rollout(parts)
     first = np.asarray(rollout.transitions.first)
     assert first[1:].any()
     np.testing.assert_array_equal(rollout.transitions.extras.renewed, first)
@@ -99,9 +106,8 @@ def test_without_a_coordinator_skills_last_for_the_episode(parts, random):
 @pytest.mark.parametrize("name", ["team_only", "random"])
 def test_the_rest_is_trained(parts, request, name):
     config = request.getfixturevalue(name)
-    algorithm = make_hmasd(parts.env, config)
-    before = algorithm.init(jax.random.key(0))
-    after, metrics = jax.jit(algorithm.update)(before)
+    before = _initial(parts.env, config)
+    after, metrics = jax.jit(make_hmasd(parts.env, config).update)(before)
     assert all(
         np.isfinite(value).all() for value in jax.tree.leaves((after._replace(key=0), metrics))
     )
