@@ -1,6 +1,7 @@
 import dataclasses
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -44,6 +45,23 @@ def alone(tmp_path_factory):
     run = tmp_path_factory.mktemp("alone") / "run"
     assert main(["train", "--run-dir", str(run), "--seed-index", "1", *words()]) == 0
     return run
+
+
+def test_a_resumed_run_goes_on_with_its_own_seed(alone, tmp_path):
+    run = tmp_path / "run"
+    shutil.copytree(alone, run)
+    more = ["--total-env-steps", str(SETTINGS["total_env_steps"] + 40)]
+    assert main(["train", "--run-dir", str(run), "--resume", *more]) == 0
+    assert seeds_of(run) == [1]
+    assert len(metrics_path(run, 1).read_text()) > len(metrics_path(alone, 1).read_text())
+
+
+def test_a_run_without_seed_0_must_be_told_which_of_its_seeds_to_resume(alone, tmp_path, capsys):
+    run = tmp_path / "run"
+    shutil.copytree(alone, run)
+    shutil.copytree(run / "seed_1", run / "seed_4")
+    assert main(["train", "--run-dir", str(run), "--resume"]) == 2
+    assert "has the seeds 1, 4: choose one to resume by --seed-index" in capsys.readouterr().err
 
 
 def test_a_finished_run_ends_with_its_plot_and_a_next_step(tmp_path, capsys):

@@ -60,11 +60,13 @@ class RunOptions(Options):
 class TrainOptions(RunOptions):
     """Seed to train, and files that the run reads and writes."""
 
-    seed_index: int = 0
-    """Index of the seed to train; its numbers are those of this seed in `seed_sweep`."""
+    seed_index: int | None = None
+    """Index of the seed to train; its numbers are those of this seed in `seed_sweep`. By default,
+    the seed of a resumed run that has but one, else 0."""
 
     def __post_init__(self) -> None:
-        check_range(self, "seed_index", low=0)  # Larger indices belong to keys of evaluations.
+        if self.seed_index is not None:
+            check_range(self, "seed_index", low=0)  # Larger indices belong to keys of evaluations.
 
     @property
     def repeated(self) -> list[str]:

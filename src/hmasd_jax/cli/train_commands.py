@@ -42,7 +42,25 @@ FAILED = 1
 def train(config: TrainConfig, options: TrainOptions, words: list[str]) -> int:
     """Train one seed and return the exit code."""
     layout = "workers" if config.layout == "workers" else "this process"
-    return _experiment(config, options, words, [options.seed_index], layout)
+    index = choose_seed(options)
+    options = dataclasses.replace(options, seed_index=index)
+    return _experiment(config, options, words, [index], layout)
+
+
+def choose_seed(options: TrainOptions) -> int:
+    """Return the index of the seed to train: as given, else that of the resumed run, else 0.
+
+    Raises:
+        RunError: The resumed run has several seeds, and seed 0 is none of them.
+    """
+    if options.seed_index is not None:
+        return options.seed_index
+    run = options.resumed_run
+    known = seeds_of(run) if run is not None else []
+    if len(known) > 1 and 0 not in known:
+        found = ", ".join(map(str, known))
+        raise RunError(f"{run} has the seeds {found}: choose one to resume by --seed-index")
+    return known[0] if len(known) == 1 else 0
 
 
 def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> int:
