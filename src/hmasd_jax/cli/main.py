@@ -52,7 +52,7 @@ def _seed_sweep() -> Callable[..., int]:
 
 
 def _grid() -> Callable[..., int]:
-    from hmasd_jax.cli.train_commands import grid
+    from hmasd_jax.cli.grid_command import grid
 
     return grid
 

@@ -1,4 +1,4 @@
-"""The commands that train: `train`, `seed_sweep` and `grid`, from settings to finished runs."""
+"""The commands `train` and `seed_sweep`, from settings to finished runs."""
 
 import dataclasses
 import shlex
@@ -12,11 +12,8 @@ from typing import Any
 from rich.console import Console
 
 from hmasd_jax.cli import summary
-from hmasd_jax.cli.hints import suggest_next
-from hmasd_jax.cli.options import GridOptions, RunOptions, SweepOptions, TrainOptions
-from hmasd_jax.cli.parse import drop_options
-from hmasd_jax.config import TrainConfig, build, from_json, identity, override, to_json
-from hmasd_jax.config.from_table import Text
+from hmasd_jax.cli.options import RunOptions, SweepOptions, TrainOptions
+from hmasd_jax.config import TrainConfig, build, identity, name_differences, to_json
 from hmasd_jax.runs.folder import (
     RunError,
     create,
@@ -70,40 +67,6 @@ def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> 
     group = distributed.join() if options.distributed else ALONE
     seeds = list(range(config.num_seeds))
     return _experiment(config, options, words, seeds, choose_layout(config), group)
-
-
-def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
-    """Run `seed_sweep` for each value of a setting in turn and return the worst exit code.
-
-    All values are checked before the first sweep starts. Each has a run folder named after it.
-    """
-    name, values = options.cells
-    root = options.run_dir or default_folder(config)
-    runs = {value: root / f"{name.rpartition('.')[2]}_{value}" for value in values}
-    cells = {value: from_json(override(to_json(config), {name: Text(value)})) for value in values}
-    for cell in cells.values():
-        build(cell)
-    started = [value for value in values if runs[value].exists()]
-    if started and not options.resume:
-        raise RunError(
-            f"{runs[started[0]]} exists: continue with --resume, or choose another --run-dir"
-        )
-    shared = drop_options(words[1:], "vary", "run-dir", "resume")
-    codes = []
-    for value, cell in cells.items():
-        sweep = SweepOptions(
-            run_dir=runs[value],
-            resume=value in started,
-            tensorboard=options.tensorboard,
-            wandb=options.wandb,
-        )
-        line = ["seed_sweep", *shared, f"--{name}", value, "--run-dir", str(runs[value])]
-        codes.append(seed_sweep(cell, sweep, line))
-        if codes[-1] == INTERRUPTED:
-            break
-    if len(codes) == len(cells) and not any(codes):
-        suggest_next("compare", *runs.values())
-    return max(codes)
 
 
 def _experiment(
@@ -203,15 +166,13 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
     Raises:
         RunError: Settings differ; the message names them.
     """
-    old, new = (identity(to_json(config)) for config in (saved, wanted))
+    old, new = (dict(sorted(identity(to_json(config)).items())) for config in (saved, wanted))
     if wanted.total_env_steps < saved.total_env_steps:
         raise RunError(
             f"{run} has total_env_steps {saved.total_env_steps}, which can be raised but not "
             f"lowered to {wanted.total_env_steps}: resume without it, or choose another --run-dir"
         )
-    changed = [k for k in sorted(old | new) if old.get(k) != new.get(k)]
-    if changed:
-        changes = ", ".join(f"{k} (was {old.get(k)}, now {new.get(k)})" for k in changed)
+    if changes := name_differences(old, new):
         raise RunError(
             f"{run} has another configuration: {changes}; resume without these, or choose "
             "another --run-dir"

@@ -19,10 +19,10 @@ from hmasd_jax.cli.train_commands import (
     run_seeds,
     stop_on_signal,
 )
-from hmasd_jax.config import ConfigError, TrainConfig, build
+from hmasd_jax.config import ConfigError, TrainConfig, build, change
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.search import trials
-from hmasd_jax.search.space import change, count, preset_values, read_space
+from hmasd_jax.search.space import count, preset_values, read_space
 from hmasd_jax.search.study import (
     Definition,
     Search,

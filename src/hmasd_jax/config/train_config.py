@@ -12,7 +12,7 @@ from envs_jax.alice_and_bob import AliceAndBob
 from envs_jax.choices import show, suggest
 from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS
-from hmasd_jax.config.from_table import from_table
+from hmasd_jax.config.from_table import Text, from_table
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.types import Algorithm
 from hmasd_jax.validation import (
@@ -165,6 +165,16 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
     return from_table(TrainConfig, {**table, **built})
 
 
+def change(config: TrainConfig, values: Mapping[str, Any]) -> TrainConfig:
+    """Return a configuration with other values by dotted name; texts are read as typed.
+
+    Raises:
+        ConfigError: A setting is unknown or refuses its value.
+    """
+    typed = {n: Text(v) if isinstance(v, str) else v for n, v in values.items()}
+    return from_json(override(to_json(config), typed))
+
+
 def to_json(config: TrainConfig) -> dict[str, Any]:
     """Return a configuration as nested JSON values, with names of environment and algorithm."""
     table = dataclasses.asdict(config)
@@ -178,6 +188,12 @@ def to_json(config: TrainConfig) -> dict[str, Any]:
 def identity(table: dict[str, Any]) -> dict[str, Any]:
     """Return by dotted name the settings that resuming must not change: all but `EXTENSIBLE`."""
     return {name: value for name, value in _flatten(table).items() if name not in EXTENSIBLE}
+
+
+def name_differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """Write by name, in the order of `old`, what differs; empty if nothing does."""
+    names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
+    return ", ".join(f"{name} (was {old.get(name)}, now {new.get(name)})" for name in names)
 
 
 def _flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -4,8 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from hmasd_jax.config import TrainConfig, from_json, override, to_json
-from hmasd_jax.config.from_table import Text
+from hmasd_jax.config import TrainConfig, change, to_json
 from hmasd_jax.validation import ConfigError
 
 TASKS = ("env.", "algorithm.")
@@ -78,16 +77,6 @@ def _read_range(config: TrainConfig, name: str, text: str) -> Range:
     if log and low <= 0:
         raise ConfigError(f"{where}: a log range must begin above 0")
     return Range(low, high, log)
-
-
-def change(config: TrainConfig, values: dict[str, Any]) -> TrainConfig:
-    """Return a configuration with other values by dotted name; texts are read as typed.
-
-    Raises:
-        ConfigError: A setting is unknown or refuses its value.
-    """
-    typed = {n: Text(v) if isinstance(v, str) else v for n, v in values.items()}
-    return from_json(override(to_json(config), typed))
 
 
 def value_of(config: TrainConfig, name: str) -> Any:

@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from envs_jax.optional import require
-from hmasd_jax.config import TrainConfig, from_json, identity, read_table, to_json
+from hmasd_jax.config import (
+    TrainConfig,
+    from_json,
+    identity,
+    name_differences,
+    read_table,
+    to_json,
+)
 from hmasd_jax.runs.folder import RunError, exclusive, write_json
 from hmasd_jax.search.space import Choices, Space, preset_values, read_space
 from hmasd_jax.search.storage import hide_password, open_storage
@@ -218,9 +225,7 @@ def _check_same(saved: dict[str, Any], wanted: dict[str, Any], folder: Path) -> 
         return {"vary": vary, **judged, **lengths, **identity(config)}
 
     old, new = flat(saved), flat(json.loads(json.dumps(wanted)))
-    changed = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
-    if changed:
-        changes = ", ".join(f"{n} (was {old.get(n)}, now {new.get(n)})" for n in changed)
+    if changes := name_differences(old, new):
         raise RunError(
             f"{folder} is another search: {changes}; join it without these by --resume, or choose "
             "another --run-dir"
