@@ -11,9 +11,10 @@ import pytest
 
 import envs_jax
 from envs_jax.alice_and_bob import AliceAndBob
-from hmasd_jax.baselines import mappo, mat
+from hmasd_jax.baselines import mat
 from hmasd_jax.baselines.ippo import IPPOConfig, make_ippo
 from hmasd_jax.baselines.mappo import MAPPOConfig, make_mappo
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.baselines.mat import MATConfig, make_mat
 from hmasd_jax.rl import rollout
 from hmasd_jax.rl.evaluate import evaluate

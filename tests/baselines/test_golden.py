@@ -11,8 +11,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
-from hmasd_jax.baselines import mappo, mat
+from hmasd_jax.baselines import mat
 from hmasd_jax.baselines.mappo import MAPPOConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.baselines.mat import MATConfig
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.networks.recurrent import apply

@@ -7,8 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import envs_jax
-from hmasd_jax.baselines import mappo
 from hmasd_jax.baselines.mappo import MAPPOConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.successes import (
     NO_IMITATION,
     ImitationConfig,

@@ -11,10 +11,10 @@ import pytest
 
 import envs_jax
 from envs_jax.alice_and_bob import AliceAndBob
-from hmasd_jax.baselines import mappo
 from hmasd_jax.baselines.eiti import algorithm, critics
 from hmasd_jax.baselines.eiti.algorithm import make_edti, make_eiti
 from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig, LocalStateConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.ppo import PPOConfig

@@ -16,12 +16,13 @@ from flax import linen as nn
 from jaxtyping import Array, Int
 
 from envs_jax import Environment
-from hmasd_jax.baselines import mappo
 from hmasd_jax.baselines.eiti import counts, tables
 from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig, InfluenceConfig
 from hmasd_jax.baselines.eiti.interaction import Interaction, make_edti_reward, make_eiti_reward
 from hmasd_jax.baselines.eiti.tables import Table
 from hmasd_jax.baselines.ippo import IPPOConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
+from hmasd_jax.baselines.mappo import components
 from hmasd_jax.networks.actor_critic import ActorCritic, ActorCriticMemory, SequenceBatch
 from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
 from hmasd_jax.rl import rollout as rollouts
@@ -53,9 +54,9 @@ class Parts:
 
     env: Environment
     config: InfluenceConfig
-    one: mappo.Parts
+    one: components.Parts
     """IPPO of a single agent, which learns."""
-    each: mappo.Parts
+    each: components.Parts
     """The same with an axis of agents in parameters and inputs, which acts."""
     interaction: Interaction
 
@@ -75,8 +76,8 @@ def make_edti(env: Environment, config: EDTIConfig) -> Algorithm:
 def make_algorithm(
     env: Environment,
     config: InfluenceConfig,
-    one: mappo.Parts,
-    each: mappo.Parts,
+    one: components.Parts,
+    each: components.Parts,
     interaction: Interaction,
 ) -> Algorithm:
     """Build an algorithm from learners and a reward for influence."""
@@ -88,7 +89,9 @@ def make_algorithm(
     )
 
 
-def make_learners(env: Environment, config: InfluenceConfig) -> tuple[mappo.Parts, mappo.Parts]:
+def make_learners(
+    env: Environment, config: InfluenceConfig
+) -> tuple[components.Parts, components.Parts]:
     """Build IPPO of a single agent, and of all agents without shared weights.
 
     Raises:
@@ -106,7 +109,7 @@ def make_learners(env: Environment, config: InfluenceConfig) -> tuple[mappo.Part
             f"(0 to {env.obs_dim - 1}): leave it out"
         )
     ippo = IPPOConfig(entropy_coef=config.entropy_coef, recurrent=config.recurrent, ppo=config.ppo)
-    one = mappo.make_parts(env, ippo)
+    one = components.make_parts(env, ippo)
     net = nn.vmap(
         RecurrentNet if config.recurrent else FeedForwardNet,
         variable_axes={"params": 0}, split_rngs={"params": True},

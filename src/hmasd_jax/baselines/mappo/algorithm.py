@@ -5,64 +5,34 @@ for all agents, or one per agent (`MAPPOConfig.critic_input`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-import optax
 from jaxtyping import Array, Float, Int
 
-from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
-from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
-from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
+from envs_jax import Environment
+from hmasd_jax.baselines.mappo.components import (
+    Extras,
+    MAPPOConfig,
+    Parts,
+    critic_input,
+    init_memory,
+    make_parts,
+)
 from hmasd_jax.networks.actor_critic import (
-    NETWORKS,
-    ActorCritic,
     ActorCriticMemory,
     SequenceBatch,
     sequence_loss,
     sequences,
 )
-from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
-from hmasd_jax.rl.ppo import PPOConfig, has_choice
-from hmasd_jax.rl.sgd import make_optimizer, ppo_epochs
+from hmasd_jax.rl.ppo import has_choice
+from hmasd_jax.rl.sgd import ppo_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, StepFn, Transition
-from hmasd_jax.validation import check_range
-
-
-@dataclass(frozen=True)
-class MAPPOConfig:
-    """Settings of MAPPO. The defaults are the paper's: on-policy's `rmappo`."""
-
-    entropy_coef: float = 0.01
-    """Weight of the policy's entropy."""
-    recurrent: bool = True
-    """If True, actor and critic have a memory (on-policy's `rmappo`), else none (`mappo`)."""
-    critic_input: Literal["state", "agent", "obs"] = "state"
-    """Input of the critic: the global `state`, for one value of all agents, or, for a value per
-    `agent`, the state, the agent's observation and its index, or `obs`, its observation alone."""
-    death_masking: bool = True
-    """If True, with `critic_input` "agent", the critic sees only the index of an agent that has no
-    choice of actions, such as the dead."""
-    novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
-    """Bonus for states not seen before, in units of the team reward. The paper has none."""
-    frontier: FrontierConfig = field(default_factory=FrontierConfig)
-    """Bonus for values of single features that few episodes reach, in units of the team reward. The
-    paper has none."""
-    imitation: ImitationConfig = field(default_factory=ImitationConfig)
-    """Imitation of own successes. The paper has none."""
-    ppo: PPOConfig = field(default_factory=PPOConfig)
-    """Optimization settings."""
-
-    def __post_init__(self) -> None:
-        check_range(self, "entropy_coef", low=0)
 
 
 class MAPPOState(NamedTuple):
@@ -92,61 +62,11 @@ class Learned(Protocol):
         ...
 
 
-class Extras(NamedTuple):
-    """Record of a step that the update needs."""
-
-    memory: ActorCriticMemory
-    """Memory before the step."""
-    log_prob: Float[Array, "*T E N"]
-    value: Float[Array, "*T E V"]
-    """In normalized units."""
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Static components that the pure functions of MAPPO take."""
-
-    env: Environment
-    config: MAPPOConfig
-    networks: ActorCritic
-    optimizer: optax.GradientTransformation
-    bonus: Bonus
-    imitation: Imitation
-
-    @property
-    def num_values(self) -> int:
-        """V, the number of values per step."""
-        return 1 if self.config.critic_input == "state" else self.env.num_agents
-
-
 def make_mappo(env: Environment, config: MAPPOConfig) -> Algorithm:
     """Build MAPPO for `env`."""
     parts = make_parts(env, config)
     return Algorithm(
         partial(init_state, parts), partial(train_iteration, parts), partial(make_policy, parts)
-    )
-
-
-def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
-    """Build networks and optimizer. The gradients of actor and critic are clipped separately."""
-    net = RecurrentNet if config.recurrent else FeedForwardNet
-    size = config.ppo.hidden_size
-    networks = ActorCritic(
-        actor=net(env.num_actions, size, gain=SMALL_GAIN), critic=net(1, size, gain=1.0)
-    )
-    optimizer = make_optimizer(config.ppo, NETWORKS)
-    return Parts(
-        env=env,
-        config=config,
-        networks=networks,
-        optimizer=optimizer,
-        bonus=add(
-            make_novelty(env, config.novelty),
-            make_frontier(env, config.frontier, config.ppo.num_envs),
-        ),
-        imitation=make_imitation(
-            env, networks, optimizer, config.imitation, config.ppo, has_skills=False
-        ),
     )
 
 
@@ -175,31 +95,6 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
         bonus=parts.bonus.init(jax.random.fold_in(key, 1)),
         successes=parts.imitation.init(),
     )
-
-
-def init_memory(parts: Parts, batch_shape: tuple[int, ...]) -> ActorCriticMemory:
-    """Return the memory before the first step."""
-    size = parts.config.ppo.hidden_size
-    return ActorCriticMemory(
-        actor=jnp.zeros((*batch_shape, parts.env.num_agents, size)),
-        critic=jnp.zeros((*batch_shape, parts.num_values, size)),
-    )
-
-
-def critic_input(config: MAPPOConfig, timestep: TimeStep) -> Float[Array, "*batch V state"]:
-    """Return the critic's input for each of the V values."""
-    state, obs = timestep.state[..., None, :], timestep.obs
-    if config.critic_input == "state":
-        return state
-    if config.critic_input == "obs":
-        return obs
-    state = jnp.broadcast_to(state, (*obs.shape[:-1], state.shape[-1]))
-    seen = jnp.concatenate([state, obs], axis=-1)
-    if config.death_masking:
-        seen = jnp.where(has_choice(timestep.action_mask)[..., None], seen, 0.0)
-    num_agents = obs.shape[-2]
-    index = jnp.broadcast_to(jnp.eye(num_agents), (*obs.shape[:-1], num_agents))
-    return jnp.concatenate([seen, index], axis=-1)
 
 
 def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
