@@ -1,0 +1,59 @@
+"""Record how large a share of the episodes of a run has reached each value of a feature.
+
+python scripts/frontier_shares.py RUN FEATURE OUT
+
+RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON) gets
+one row per seed and bin: the bin's ends, the largest share of episodes that has reached it so far,
+and the share over the last rollouts.
+"""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hmasd_jax.exploration.frontier import Frontier
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs.load import load_run
+from scripts.records import describe_script, write_rows
+
+
+def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float]]:
+    """Return a row per bin of one feature of the state."""
+    ends = np.linspace(
+        float(frontier.low[feature]), float(frontier.high[feature]), frontier.reached.shape[1] + 1
+    )
+    recent = np.asarray(frontier.reached[feature]) / float(frontier.episodes)
+    largest = np.asarray(frontier.mastered[feature])
+    return [
+        {
+            "from": round(float(low), 4),
+            "to": round(float(high), 4),
+            "largest_share": round(float(most), 4),
+            "recent_share": round(float(now), 4),
+        }
+        for low, high, most, now in zip(ends, ends[1:], largest, recent)
+    ]
+
+
+def main() -> None:
+    """Record the shares of all seeds of a run."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument("feature", type=int, metavar="FEATURE", help="index into the state")
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    args = parser.parse_args()
+    about = describe_script(args.run)
+    rows: list[dict[str, Any]] = []
+    for seed in run_folder.seeds_of(args.run):
+        trained = load_run(args.run, seed)
+        if not isinstance(trained.state.bonus, Frontier):
+            parser.error(f"{args.run} was trained without algorithm.frontier: choose another run")
+        shares = list_shares(trained.state.bonus, args.feature)
+        rows += [{"seed": seed, "env_steps": trained.env_steps, **s} for s in shares]
+    write_rows(args.out, about, rows)
+
+
+if __name__ == "__main__":
+    main()
