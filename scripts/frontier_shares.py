@@ -2,9 +2,9 @@
 
 python scripts/frontier_shares.py RUN FEATURE OUT
 
-RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON) gets
-one row per seed and bin: the bin's ends, the largest share of episodes that has reached it so far,
-and the share over the last rollouts.
+RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON)
+gets one row per seed and bin: the bin's ends, the largest share of episodes that has reached it so
+far, and the share over the last rollouts.
 """
 
 import argparse
