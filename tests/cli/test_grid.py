@@ -1,4 +1,4 @@
-"""The command `grid`: one sweep per value of a setting, each in its own run folder."""
+"""The command `grid`: one sweep per combination of values, each in its own run folder."""
 
 import pytest
 
@@ -38,6 +38,19 @@ def test_a_sweep_per_value(sweeps, tmp_path):
         ]  # fmt: skip
 
 
+def test_several_settings_are_combined(sweeps, tmp_path):
+    calls, _ = sweeps
+    words = ["--vary", "algorithm.num-skills=2,3", "--run-dir", str(tmp_path)]
+    assert main([*WORDS, *words]) == 0
+    cells = [
+        (config.algorithm.skill_interval, config.algorithm.num_skills) for config, _, _ in calls
+    ]
+    assert cells == [(25, 2), (25, 3), (50, 2), (50, 3)]
+    _, options, words = calls[1]
+    assert options.run_dir == tmp_path / "skill_interval_25_num_skills_3"
+    assert words[3:7] == ["--algorithm.skill_interval", "25", "--algorithm.num_skills", "3"]
+
+
 def test_resume_continues_started_sweeps_and_starts_the_others(sweeps, tmp_path, capsys):
     calls, _ = sweeps
     (tmp_path / "skill_interval_50").mkdir()
@@ -66,16 +79,18 @@ def test_an_interrupt_ends_all(sweeps, tmp_path):
 @pytest.mark.parametrize(
     ("vary", "message"),
     [
-        (None, "--vary must name a setting and its values"),
-        ("algorithm.skill_interval", "--vary must name a setting and its values"),
-        ("algorithm.skill_interval=25,", "--vary must name a setting and its values"),
-        ("algorithm.skill_interval=25,25", "each once"),
-        ("algorithm.skil_interval=25", "did you mean skill_interval?"),
-        ("algorithm.skill_interval=25,30", "skill_interval 30"),
+        ([], "--vary must name a setting and its values"),
+        (["algorithm.skill_interval"], "--vary must name a setting and its values"),
+        (["algorithm.skill_interval=25,"], "--vary must name a setting and its values"),
+        (["algorithm.skill_interval=25,25"], "each once"),
+        (["algorithm.skil_interval=25"], "did you mean skill_interval?"),
+        (["algorithm.skill_interval=25,30"], "skill_interval 30"),
+        (["algorithm.skill_interval=25", "algorithm.num_skills=0"], "num_skills"),
+        (["algorithm.skill-interval=25", "algorithm.skill_interval=50"], "skill_interval twice"),
     ],
 )
 def test_no_sweep_begins_unless_all_can(sweeps, tmp_path, capsys, vary, message):
-    words = ["grid", "--run-dir", str(tmp_path)] + (["--vary", vary] if vary else [])
+    words = ["grid", "--run-dir", str(tmp_path)] + [word for value in vary for word in ("--vary", value)]
     assert main(words) == 2
     assert message in capsys.readouterr().err
     assert not sweeps[0]

@@ -102,7 +102,7 @@ COMMANDS = {
         _seed_sweep,
     ),
     "grid": Command(
-        "Train several seeds for each value of one setting, e.g. --vary "
+        "Train several seeds for each combination of values, e.g. --vary "
         "algorithm.num_skills=2,3,4,5.",
         GridOptions,
         _grid,

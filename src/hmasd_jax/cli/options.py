@@ -1,5 +1,6 @@
 """Options of every command. They import no JAX, so that the list of commands appears at once."""
 
+import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -91,28 +92,37 @@ class SweepOptions(RunOptions):
 
 @dataclass(frozen=True)
 class GridOptions(RunOptions):
-    """Setting to vary, and files that the sweeps read and write."""
+    """Settings to vary, and files that the sweeps read and write."""
 
-    vary: str = ""
-    """A setting and its values, e.g. algorithm.skill_interval=5,10,25,50. Each value gets a run
-    folder of its own in --run-dir."""
+    vary: Annotated[tuple[str, ...], arg(metavar="NAME=VALUES")] = ()
+    """A setting and its values, e.g. algorithm.skill_interval=5,10,25,50. Repeat it to try every
+    combination. Each has a run folder of its own in --run-dir."""
 
     @property
     def resumed_run(self) -> None:
-        """None: each value has a run folder, and a configuration, of its own."""
+        """None: each cell has a run folder, and a configuration, of its own."""
 
     @property
-    def cells(self) -> tuple[str, list[str]]:
-        """Dotted name of the setting, and its values.
+    def cells(self) -> list[dict[str, str]]:
+        """Every combination of the values, each by dotted name of the setting.
 
         Raises:
-            ConfigError: `vary` is not of the form NAME=VALUE,VALUE.
+            ConfigError: An entry of `vary` is not of the form NAME=VALUE,VALUE, or two name the
+                same setting.
         """
-        name, found = split_vary(self.vary)
-        for value in found:
-            if not value.isprintable() or "/" in value or os.sep in value:
-                raise ConfigError(f"--vary: {value!r} cannot name a folder; give it in a TOML file")
-        return name, found
+        settings = [split_vary(vary) for vary in self.vary or ("",)]
+        names = [name for name, _ in settings]
+        for name, values in settings:
+            if names.count(name) > 1:
+                raise ConfigError(f"--vary names {name} twice: give all its values at once")
+            for value in values:
+                if not value.isprintable() or "/" in value or os.sep in value:
+                    raise ConfigError(
+                        f"--vary: {value!r} cannot name a folder; give it in a TOML file"
+                    )
+        return [
+            dict(zip(names, values)) for values in itertools.product(*(v for _, v in settings))
+        ]
 
 
 def split_vary(vary: str) -> tuple[str, list[str]]:
