@@ -72,6 +72,19 @@ def test_only_sequences_with_reward_are_stored_the_oldest_are_replaced():
     assert store.next_slot == 1
 
 
+def test_sequences_are_drawn_in_proportion_to_their_reward():
+    """The first of three is followed by half the reward: a draw of one takes it in a fifth."""
+    weight = jnp.array([[0.5, 0.25], [1.0, 1.0], [1.0, 1.0], [0.0, 0.0]])
+    batch = _batch(4)._replace(action=jnp.arange(4)[:, None, None] + jnp.zeros((4, 2, 2), int))
+
+    def draw(key):
+        return insert(PARTS.imitation.init(), batch, weight, 1, key)[0].steps.action[0, 0, 0]
+
+    drawn = jax.vmap(draw)(jax.random.split(jax.random.key(0), 4000))
+    share = np.bincount(drawn, minlength=4) / 4000
+    assert_allclose(share, [0.2, 0.4, 0.4, 0.0], atol=0.03)
+
+
 def test_a_rollout_without_reward_stores_nothing():
     store = PARTS.imitation.init()
     after, _ = insert(store, _batch(2), jnp.zeros((2, 2)), 2, jax.random.key(0))

@@ -35,7 +35,7 @@ class ImitationConfig:
     capacity: int = 256
     """Sequences in the buffer. New ones replace the oldest."""
     inserts: int = 48
-    """Most sequences stored per rollout: those followed by the most reward."""
+    """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
@@ -173,10 +173,12 @@ def insert(
     weight = jnp.maximum(weight, 0.0)
     weight = weight / jnp.maximum(weight.max(), 1e-6)
     best = weight.max(-1)
-    # Noise breaks ties: without it the same environment copies would always be stored.
-    score = best + 0.3 * jax.random.uniform(key, best.shape)
-    score, chosen = jax.lax.top_k(jnp.where(best > 0, score, 0.0), min(most, len(best)))
-    is_success = score > 0
+    # The largest of log w + Gumbel noise are a draw without replacement. The sequences with the
+    # most reward alone would be the ends of episodes, and a policy that has lost the way to them
+    # could not find it in the buffer.
+    score = jnp.log(best) + jax.random.gumbel(key, best.shape)
+    score, chosen = jax.lax.top_k(score, min(most, len(best)))
+    is_success = score > -jnp.inf
     capacity = len(successes.weight)
     # Others get a slot out of range, which `mode="drop"` ignores.
     slot = (successes.next_slot + jnp.cumsum(is_success) - 1) % capacity
