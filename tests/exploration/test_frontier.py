@@ -1,5 +1,7 @@
 """The bonus for values of single features that few episodes reach."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import pytest
@@ -13,19 +15,20 @@ from hmasd_jax.exploration.frontier import (
     find_bins,
     first_visits,
     make_frontier,
+    odds_against,
     widen,
-    worth_of,
 )
 from tests.helpers.rollouts import outcome_of
 
 ENV = envs_jax.make("probe_match_cue")
 SIZE = ENV.state_dim
 NUM_ENVS = 4
+CONFIG = FrontierConfig(coef=0.5, num_bins=4, window=10, forgetting=0.0)
 
 
 @pytest.fixture
 def bonus():
-    return make_frontier(ENV, FrontierConfig(coef=0.5, num_bins=4, window=10), NUM_ENVS)
+    return make_frontier(ENV, CONFIG, NUM_ENVS)
 
 
 @pytest.fixture
@@ -64,39 +67,49 @@ def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
-    frontier, _, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, window=10)
+    frontier, _, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, CONFIG)
     assert_allclose(frontier.mastered[0], [1.0, 0, 0, 0.25])
     assert_allclose(frontier.mastered[1:, 0], 1.0)
 
 
 def test_the_share_is_an_average_over_the_window(empty):
     outcome = rollout_of(*[[0.0, 4.0]] * 4)
-    frontier, _, _ = explore(empty, outcome, window=10)
+    frontier, _, _ = explore(empty, outcome, CONFIG)
     assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
     assert_allclose(frontier.reached[0], [4, 0, 0, 4])
     assert_allclose(frontier.mastered[0, 0], 4 / 7.6, rtol=1e-6)
 
 
 def test_worth_falls_from_the_largest_to_nothing():
-    worth = worth_of(jnp.array([0.0, 1e-6, 0.01, 0.25, 1.0]), largest=20.0)
+    worth = odds_against(jnp.array([0.0, 1e-6, 0.1, 0.5, 1.0]), largest=20.0)
     assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
 
 
 def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, empty):
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     frontier, reward = train(bonus, empty, outcome)
-    worth = worth_of(frontier.mastered, 20.0)
+    worth = odds_against(frontier.mastered, CONFIG.largest_worth)
     paid = jnp.zeros((2, 4)).at[0].set(worth[0, 0] + worth[1:, 0].sum()).at[1, 3].set(worth[0, 3])
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 
 
-def test_what_was_mastered_once_pays_nothing_even_when_it_is_left_for_long(bonus, empty):
+def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):
     mastered, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0]] * 4), times=60)
     left, _ = train(bonus, mastered, rollout_of(*[[0.0, 0.0]] * 4), times=60)
     assert left.reached[0, 3] < 0.1
     _, back = train(bonus, left, rollout_of([0.0, 4.0], *[[0.0, 2.0]] * 3))
     assert_allclose(back[1, 0], back[0, 0], atol=0.01)
     assert (back[1, 1:] > back[1, 0] + 0.1).all()
+
+
+def test_what_was_mastered_and_lost_pays_again_later(empty):
+    """The largest share falls by a tenth per rollout, down to the share of the moment."""
+    forgetful = dataclasses.replace(CONFIG, window=1, forgetting=0.1)
+    shares = []
+    for values in ([0.0, 4.0], [0.0, 0.0], [0.0, 0.0]):
+        empty, _, _ = explore(empty, rollout_of(*[values] * 4), forgetful)
+        shares.append(empty.mastered[0, [0, 3]])
+    assert_allclose(shares, [[1, 1], [1, 0.9], [1, 0.81]], rtol=1e-6)
 
 
 def test_a_wider_range_moves_what_is_known_to_the_bin_of_the_old_middle(empty):
@@ -118,8 +131,9 @@ def test_without_a_weight_there_is_no_bonus():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("coef", -1), ("num_bins", 1), ("largest_worth", -1), ("window", 0)]
+    ("field", "value"),
+    [("coef", -1), ("num_bins", 1), ("largest_worth", -1), ("window", 0), ("forgetting", -1)],
 )
 def test_settings_out_of_range_are_refused(field, value):
-    with pytest.raises(ValueError, match=f"{field} must be at least .*, got {value}"):
+    with pytest.raises(ValueError, match=f"{field} must be .*, got {value}"):
         FrontierConfig(**{field: value})

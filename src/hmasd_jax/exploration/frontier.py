@@ -7,10 +7,11 @@ Whole states are all new, and the prediction error of a network on them is domin
 that always vary. Paying only first visits of an episode is the restriction of NovelD (Zhang et al.,
 NeurIPS 2021). Without it, waiting in a rare state pays.
 
-A value that a share p of the episodes reaches is worth 1 / sqrt(p) - 1. Here p is the largest share
-so far, measured over recent rollouts: what the team has mastered once pays nothing from then on, so
-that only the frontier of what it can do is left. A share that may fall again would pay for leaving
-the solution of a task to do what has become rare.
+A value that a share p of the episodes reaches is worth 1 / p - 1, the odds against it. Here p is
+the largest share so far, measured over recent rollouts: what the team has mastered pays nothing, so
+that only the frontier of what it can do is left. The share of the moment would pay for leaving the
+solution of a task to do what has become rare. The largest share is forgotten slowly, so that what
+the team has lost leads back to the frontier.
 
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
@@ -40,15 +41,18 @@ class FrontierConfig:
     is none."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
-    largest_worth: float = 20.0
+    largest_worth: float = 100.0
     """Most that one value is worth. It keeps accidents from outweighing everything else."""
     window: int = 20
     """Rollouts over which the share of episodes is averaged, with exponential weights."""
+    forgetting: float = 0.01
+    """Part of the largest share that is forgotten per rollout."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", "largest_worth", low=0)
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
+        check_range(self, "forgetting", low=0, high=1)
 
 
 class Frontier(NamedTuple):
@@ -63,7 +67,7 @@ class Frontier(NamedTuple):
     episodes: Float[Array, ""]
     """Number of recent episodes."""
     mastered: Float[Array, "state bins"]
-    """Largest share of episodes so far that reached each bin."""
+    """Largest share of episodes so far that reached each bin, less what is forgotten."""
     visited: Bool[Array, "E state bins"]
     """Bins that the episode under way has visited."""
     bonuses: Moments
@@ -91,9 +95,9 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
     def update(frontier: Frontier, outcome: TimeStep, key: Key):
         del key
         # The rollout counts too: without it, the first visits would be worth infinitely much.
-        frontier, bins, is_first = explore(frontier, outcome, config.window)
+        frontier, bins, is_first = explore(frontier, outcome, config)
         features = jnp.arange(env.state_dim)
-        worth = worth_of(frontier.mastered, config.largest_worth)[features, bins]
+        worth = odds_against(frontier.mastered, config.largest_worth)[features, bins]
         bonus = jnp.where(is_first, worth, 0.0).sum(-1)
         seen = moments.update(frontier.bonuses, bonus)
         reward = config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
@@ -103,14 +107,14 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 
 def explore(
-    frontier: Frontier, outcome: TimeStep, window: int
+    frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Int[Array, "T E state"], Bool[Array, "T E state"]]:
     """Count the episodes of a rollout that reach each bin.
 
     Args:
         frontier: state before the rollout.
         outcome: (T, E), steps before any reset.
-        window: number of rollouts to average over.
+        config: number of rollouts to average over, and what is forgotten per rollout.
 
     Returns:
         The new state; the bin of each feature; and whether its episode visits the bin for the
@@ -120,7 +124,7 @@ def explore(
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
     bins = find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, bins, outcome.done)
-    keep = 1.0 - 1.0 / window
+    keep = 1.0 - 1.0 / config.window
     features = jnp.broadcast_to(jnp.arange(states.shape[-1]), bins.shape)
     reached = (frontier.reached * keep).at[features, bins].add(is_first.astype(jnp.float32))
     episodes = frontier.episodes * keep + outcome.done.sum()
@@ -128,7 +132,7 @@ def explore(
     frontier = frontier._replace(
         reached=reached,
         episodes=episodes,
-        mastered=jnp.maximum(frontier.mastered, share),
+        mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
     )
     return frontier, bins, is_first
@@ -148,9 +152,9 @@ def first_visits(
     return jax.lax.scan(step, visited, (bins, done))
 
 
-def worth_of(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
-    """Return 1 / sqrt(p) - 1 for a share p of episodes, at most `largest`."""
-    return jnp.minimum(jax.lax.rsqrt(jnp.maximum(share, 1e-9)) - 1.0, largest)
+def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
+    """Return 1 / p - 1 for a share p of episodes, at most `largest`."""
+    return jnp.minimum(1.0 / jnp.maximum(share, 1e-9) - 1.0, largest)
 
 
 def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " state"]):
