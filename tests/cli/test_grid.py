@@ -90,7 +90,8 @@ def test_an_interrupt_ends_all(sweeps, tmp_path):
     ],
 )
 def test_no_sweep_begins_unless_all_can(sweeps, tmp_path, capsys, vary, message):
-    words = ["grid", "--run-dir", str(tmp_path)] + [word for value in vary for word in ("--vary", value)]
+    words = ["grid", "--run-dir", str(tmp_path)]
+    words += [word for value in vary for word in ("--vary", value)]
     assert main(words) == 2
     assert message in capsys.readouterr().err
     assert not sweeps[0]

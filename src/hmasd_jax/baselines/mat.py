@@ -19,6 +19,7 @@ from hmasd_jax.networks.actor_critic import agents_loss
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
 from hmasd_jax.networks.transformer import EncoderDecoder, Head, decoder_inputs, draw_in_turn
 from hmasd_jax.rl import rollout as rollouts
+from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.categorical import categorical, mask_logits
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
@@ -175,10 +176,11 @@ def act(
 
 def make_policy(parts: Parts, state: MATState, greedy: bool = True) -> Policy:
     """Build the policy for execution, which is as centralized as training. It has no memory."""
+    params = averaged_params(state.learner)
 
     def step(memory, timestep, first, key):
         del first
-        action, _ = act(parts, state.learner.params, timestep, key, greedy)
+        action, _ = act(parts, params, timestep, key, greedy)
         return memory, action, ()
 
     return Policy(lambda batch_shape=(): (), step)

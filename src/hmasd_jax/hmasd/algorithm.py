@@ -29,6 +29,7 @@ from hmasd_jax.hmasd.rollout_phase import (
 )
 from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
+from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
@@ -71,7 +72,7 @@ def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
         skills: Sequence[int | None] | None = None,
         allowed: Bool[Array, "tokens skills"] | None = None,
     ) -> Policy:
-        params = state.coordinator.params, state.discoverer.params
+        params = averaged_params(state.coordinator), averaged_params(state.discoverer)
         return make_policy(parts, *params, greedy, skills, allowed)
 
     return Algorithm(init, update, policy)

@@ -23,6 +23,9 @@ class PPOConfig:
     decay_updates: int = 0
     """Updates (rollouts) over which the step size falls linearly to 0. With 0 it stays constant, as
     in the paper."""
+    average_updates: int = 0
+    """Updates over which the parameters that act in evaluation are averaged. With 0 the last ones
+    act, as in the paper."""
     adam_epsilon: float = 1e-5
     """Constant added to the denominator of Adam."""
     max_grad_norm: float = 10.0
@@ -58,7 +61,7 @@ class PPOConfig:
                 f"num_envs x rollout_length must be at most {LARGEST}, got {self.num_envs} x "
                 f"{self.rollout_length}"
             )
-        check_range(self, "decay_updates", low=0)
+        check_range(self, "decay_updates", "average_updates", low=0)
         check_range(self, "learning_rate", "adam_epsilon", "max_grad_norm", "clip_epsilon", low=0)
         check_range(self, "value_coef", "huber_delta", low=0)
         check_range(self, "discount", "gae_lambda", low=0, high=1)

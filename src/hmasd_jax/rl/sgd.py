@@ -10,6 +10,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from hmasd_jax.rl import value_norm
+from hmasd_jax.rl.averaging import track_average
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Key, Learner, Metrics
@@ -25,23 +26,21 @@ def make_optimizer(
     """Build Adam that clips each network's gradient by its own norm first.
 
     Args:
-        config: learning rate, Adam's epsilon and the norm to clip at.
+        config: learning rate, Adam's epsilon, the norm to clip at, and what is averaged.
         networks: top-level names in the parameters. Each is clipped separately.
         steps_per_update: gradient steps per rollout, for the schedule. The default is that of PPO.
     """
+    per_update = steps_per_update or config.num_epochs * config.num_minibatches
     step_size: optax.ScalarOrSchedule = config.learning_rate
     if config.decay_updates:
-        per_update = steps_per_update or config.num_epochs * config.num_minibatches
         step_size = optax.linear_schedule(
             config.learning_rate, 0.0, config.decay_updates * per_update
         )
+    steps = [clip_by_norm(config.max_grad_norm), optax.adam(step_size, eps=config.adam_epsilon)]
+    if config.average_updates:
+        steps.append(track_average(1.0 - 1.0 / (config.average_updates * per_update)))
     # One vector per network: XLA compiles and launches a quarter fewer kernels.
-    each = optax.flatten(
-        optax.chain(
-            clip_by_norm(config.max_grad_norm),
-            optax.adam(step_size, eps=config.adam_epsilon),
-        )
-    )
+    each = optax.flatten(optax.chain(*steps))
     transforms: dict[Hashable, optax.GradientTransformation] = dict.fromkeys(networks, each)
     return optax.partition(transforms, {name: name for name in networks})
 

@@ -28,6 +28,7 @@ from hmasd_jax.networks.actor_critic import (
     sequences,
 )
 from hmasd_jax.rl import rollout as rollouts
+from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.rl.ppo import has_choice
 from hmasd_jax.rl.sgd import ppo_epochs
@@ -99,13 +100,14 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
 
 def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
     """Build the policy for execution, which needs the actor alone."""
+    params = averaged_params(state.learner)
 
     def init(batch_shape: tuple[int, ...] = ()) -> Float[Array, "*batch N hidden"]:
         return init_memory(parts, batch_shape).actor
 
     def step(memory, timestep, first, key):
         memory, distribution = parts.networks.act(
-            state.learner.params, memory, timestep.obs, timestep.action_mask, first
+            params, memory, timestep.obs, timestep.action_mask, first
         )
         action = distribution.mode() if greedy else distribution.sample(seed=key)
         return memory, action, ()
