@@ -120,9 +120,7 @@ class GridOptions(RunOptions):
                     raise ConfigError(
                         f"--vary: {value!r} cannot name a folder; give it in a TOML file"
                     )
-        return [
-            dict(zip(names, values)) for values in itertools.product(*(v for _, v in settings))
-        ]
+        return [dict(zip(names, values)) for values in itertools.product(*(v for _, v in settings))]
 
 
 def split_vary(vary: str) -> tuple[str, list[str]]:
