@@ -11,6 +11,7 @@ import envs_jax
 from hmasd_jax.exploration.bonus import NO_BONUS
 from hmasd_jax.exploration.frontier import (
     FrontierConfig,
+    count_rewarded,
     explore,
     find_bins,
     first_visits,
@@ -91,6 +92,25 @@ def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, e
     worth = odds_against(frontier.mastered, CONFIG.largest_worth)
     paid = jnp.zeros((2, 4)).at[0].set(worth[0, 0] + worth[1:, 0].sum()).at[1, 3].set(worth[0, 3])
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
+
+
+def test_an_episode_counts_as_rewarded_once_and_across_rollouts():
+    reward = jnp.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
+    done = jnp.array([[False, True, True], [True, False, False], [False, False, False]])
+    # The second copy's first episode was rewarded in the rollout before; the third's second is now.
+    rewarded, ended = count_rewarded(jnp.array([False, True, False]), reward, done)
+    assert ended == 2
+    assert_array_equal(rewarded, [False, False, True])
+
+
+def test_the_bonus_is_scaled_by_the_share_of_recent_episodes_without_reward(bonus, empty):
+    outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
+    wins = outcome._replace(reward=outcome.reward.at[1, :3].set(1.0))
+    _, without = train(bonus, empty, outcome)
+    frontier, reward = train(bonus, empty, wins)
+    # Three of the four episodes, beside 0.9 x 4 that count as recent at the start.
+    assert_allclose(frontier.successes / frontier.episodes, 3 / 7.6, rtol=1e-6)
+    assert_allclose(reward, (1 - 3 / 7.6) * without, rtol=1e-5)
 
 
 def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):

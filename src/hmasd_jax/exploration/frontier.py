@@ -15,6 +15,9 @@ the team has lost leads back to the frontier.
 
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
+
+The bonus is multiplied by the share of recent episodes without any reward. A team that is rewarded
+in every episode learns from reward alone.
 """
 
 from dataclasses import dataclass
@@ -70,6 +73,10 @@ class Frontier(NamedTuple):
     """Largest share of episodes so far that reached each bin, less what is forgotten."""
     visited: Bool[Array, "E state bins"]
     """Bins that the episode under way has visited."""
+    successes: Float[Array, ""]
+    """Number of recent episodes that got a reward."""
+    rewarded: Bool[Array, " E"]
+    """Whether the episode under way has got one."""
     bonuses: Moments
     """Moments of the bonuses so far, which give the bonus its unit."""
 
@@ -89,6 +96,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             episodes=jnp.float32(num_envs),
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
+            successes=jnp.float32(0),
+            rewarded=jnp.zeros(num_envs, bool),
             bonuses=Moments.create(),
         )
 
@@ -100,7 +109,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         worth = odds_against(frontier.mastered, config.largest_worth)[features, bins]
         bonus = jnp.where(is_first, worth, 0.0).sum(-1)
         seen = moments.update(frontier.bonuses, bonus)
-        reward = config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
+        failures = 1.0 - frontier.successes / frontier.episodes
+        reward = failures * config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
     return Bonus(init, update)
@@ -109,7 +119,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Int[Array, "T E state"], Bool[Array, "T E state"]]:
-    """Count the episodes of a rollout that reach each bin.
+    """Count the episodes of a rollout that reach each bin, and those that get a reward.
 
     Args:
         frontier: state before the rollout.
@@ -128,12 +138,15 @@ def explore(
     features = jnp.broadcast_to(jnp.arange(states.shape[-1]), bins.shape)
     reached = (frontier.reached * keep).at[features, bins].add(is_first.astype(jnp.float32))
     episodes = frontier.episodes * keep + outcome.done.sum()
+    rewarded, successes = count_rewarded(frontier.rewarded, outcome.reward, outcome.done)
     share = jnp.minimum(reached / jnp.maximum(episodes, 1.0), 1.0)
     frontier = frontier._replace(
         reached=reached,
         episodes=episodes,
         mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
+        successes=frontier.successes * keep + successes,
+        rewarded=rewarded,
     )
     return frontier, bins, is_first
 
@@ -150,6 +163,20 @@ def first_visits(
         return (visited | here) & ~done[:, None, None], is_first
 
     return jax.lax.scan(step, visited, (bins, done))
+
+
+def count_rewarded(
+    rewarded: Bool[Array, " E"], reward: Float[Array, "T E"], done: Bool[Array, "T E"]
+) -> tuple[Bool[Array, " E"], Int[Array, ""]]:
+    """Return which episodes under way have got a reward, and how many that ended had got one."""
+
+    def step(rewarded, x):
+        reward, done = x
+        rewarded = rewarded | (reward > 0)
+        return rewarded & ~done, (rewarded & done).sum()
+
+    rewarded, ended = jax.lax.scan(step, rewarded, (reward, done))
+    return rewarded, ended.sum()
 
 
 def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
