@@ -54,9 +54,26 @@ def train(bonus, frontier, outcome, times=1):
 def test_only_the_first_visit_of_an_episode_counts():
     bins = jnp.array([0, 1, 0, 1, 2])[:, None, None]
     done = jnp.array([False, False, True, False, False])[:, None]
-    visited, is_first = first_visits(jnp.zeros((1, 1, 4), bool), bins, done)
-    assert_array_equal(is_first[:, 0, 0], [True, True, False, True, True])
+    visited, is_first = first_visits(jnp.zeros((1, 1, 4), bool), bins, bins, done)
+    assert_array_equal(is_first[:, 0, 0].any(-1), [True, True, False, True, True])
     assert_array_equal(visited[0, 0], [False, True, True, False])
+
+
+def test_a_step_visits_the_bins_that_it_passes():
+    start, end = (jnp.array(x)[:, None, None] for x in ([0, 0, 3], [0, 3, 1]))
+    _, is_first = first_visits(jnp.zeros((1, 1, 5), bool), start, end, jnp.zeros((3, 1), bool))
+    assert_array_equal(is_first[:, 0, 0], [[1, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0]])
+
+
+def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus, empty):
+    """From 4 to 0 by a reset; then from 0 to 4 at the first step of the next rollout."""
+    outcome = rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False)
+    outcome = outcome._replace(terminated=outcome.terminated.at[1].set(True))
+    wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 4.0))
+    frontier, is_first = explore(wide, outcome, CONFIG)
+    assert_array_equal(is_first[2, 0, 0], [True, False, False, False])
+    _, is_first = explore(frontier, rollout_of(*[[4.0]] * 4), CONFIG)
+    assert_array_equal(is_first[0, 0, 0], [False, True, True, True])
 
 
 def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
@@ -68,16 +85,16 @@ def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
-    frontier, _, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, CONFIG)
-    assert_allclose(frontier.mastered[0], [1.0, 0, 0, 0.25])
+    frontier, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, CONFIG)
+    assert_allclose(frontier.mastered[0], [1.0, 0.25, 0.25, 0.25])
     assert_allclose(frontier.mastered[1:, 0], 1.0)
 
 
 def test_the_share_is_an_average_over_the_window(empty):
     outcome = rollout_of(*[[0.0, 4.0]] * 4)
-    frontier, _, _ = explore(empty, outcome, CONFIG)
+    frontier, _ = explore(empty, outcome, CONFIG)
     assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
-    assert_allclose(frontier.reached[0], [4, 0, 0, 4])
+    assert_allclose(frontier.reached[0], [4, 4, 4, 4])
     assert_allclose(frontier.mastered[0, 0], 4 / 7.6, rtol=1e-6)
 
 
@@ -90,7 +107,13 @@ def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, e
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     frontier, reward = train(bonus, empty, outcome)
     worth = odds_against(frontier.mastered, CONFIG.largest_worth)
-    paid = jnp.zeros((2, 4)).at[0].set(worth[0, 0] + worth[1:, 0].sum()).at[1, 3].set(worth[0, 3])
+    paid = (
+        jnp.zeros((2, 4))
+        .at[0]
+        .set(worth[0, 0] + worth[1:, 0].sum())
+        .at[1, 3]
+        .set(worth[0, 1:].sum())
+    )
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 
 
@@ -114,10 +137,11 @@ def test_the_bonus_is_scaled_by_the_share_of_recent_episodes_without_reward(bonu
 
 
 def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):
-    mastered, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0]] * 4), times=60)
+    wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 8.0))
+    mastered, _ = train(bonus, wide, rollout_of(*[[0.0, 4.0]] * 4), times=60)
     left, _ = train(bonus, mastered, rollout_of(*[[0.0, 0.0]] * 4), times=60)
-    assert left.reached[0, 3] < 0.1
-    _, back = train(bonus, left, rollout_of([0.0, 4.0], *[[0.0, 2.0]] * 3))
+    assert left.reached[0, 2] < 0.1
+    _, back = train(bonus, left, rollout_of([0.0, 4.0], *[[0.0, 6.0]] * 3))
     assert_allclose(back[1, 0], back[0, 0], atol=0.01)
     assert (back[1, 1:] > back[1, 0] + 0.1).all()
 
@@ -127,7 +151,7 @@ def test_what_was_mastered_and_lost_pays_again_later(empty):
     forgetful = dataclasses.replace(CONFIG, window=1, forgetting=0.1)
     shares = []
     for values in ([0.0, 4.0], [0.0, 0.0], [0.0, 0.0]):
-        empty, _, _ = explore(empty, rollout_of(*[values] * 4), forgetful)
+        empty, _ = explore(empty, rollout_of(*[values] * 4), forgetful)
         shares.append(empty.mastered[0, [0, 3]])
     assert_allclose(shares, [[1, 1], [1, 0.9], [1, 0.81]], rtol=1e-6)
 

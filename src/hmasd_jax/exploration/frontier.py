@@ -1,11 +1,13 @@
 """Exploration bonus for values of single features that few episodes reach.
 
-An episode is paid when a feature of the state takes a value for the first time in it: an enemy with
-less health than before, a pot with a third onion, a diamond that is gone. Each feature is counted
-by itself, the coarsest of the projections of the state that CMAE counts in (Liu et al., ICML 2021).
-Whole states are all new, and the prediction error of a network on them is dominated by features
-that always vary. Paying only first visits of an episode is the restriction of NovelD (Zhang et al.,
-NeurIPS 2021). Without it, waiting in a rare state pays.
+An episode is paid when a feature of the state reaches a value for the first time in it: an enemy
+with less health than before, a pot with a third onion, a diamond that is gone. A value is reached
+when it is taken or passed. By what steps an agent loses its own health is chance, and would pay if
+each value had to be hit. Each feature is counted by itself, the coarsest of the projections of the
+state that CMAE counts in (Liu et al., ICML 2021). Whole states are all new, and the prediction
+error of a network on them is dominated by features that always vary. Paying only first visits of
+an episode is the restriction of NovelD (Zhang et al., NeurIPS 2021). Without it, waiting in a rare
+state pays.
 
 A value that a share p of the episodes reaches is worth 1 / p - 1, the odds against it. Here p is
 the largest share so far, measured over recent rollouts: what the team has mastered pays nothing, so
@@ -73,6 +75,10 @@ class Frontier(NamedTuple):
     """Largest share of episodes so far that reached each bin, less what is forgotten."""
     visited: Bool[Array, "E state bins"]
     """Bins that the episode under way has visited."""
+    before: Float[Array, "E state"]
+    """State before the next step."""
+    begins: Bool[Array, " E"]
+    """Whether the next step is the first of an episode, so that `before` is of another one."""
     successes: Float[Array, ""]
     """Number of recent episodes that got a reward."""
     rewarded: Bool[Array, " E"]
@@ -96,6 +102,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             episodes=jnp.float32(num_envs),
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
+            before=jnp.zeros((num_envs, env.state_dim)),
+            begins=jnp.ones(num_envs, bool),
             successes=jnp.float32(0),
             rewarded=jnp.zeros(num_envs, bool),
             bonuses=Moments.create(),
@@ -104,10 +112,9 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
     def update(frontier: Frontier, outcome: TimeStep, key: Key):
         del key
         # The rollout counts too: without it, the first visits would be worth infinitely much.
-        frontier, bins, is_first = explore(frontier, outcome, config)
-        features = jnp.arange(env.state_dim)
-        worth = odds_against(frontier.mastered, config.largest_worth)[features, bins]
-        bonus = jnp.where(is_first, worth, 0.0).sum(-1)
+        frontier, is_first = explore(frontier, outcome, config)
+        worth = odds_against(frontier.mastered, config.largest_worth)
+        bonus = jnp.where(is_first, worth, 0.0).sum((-2, -1))
         seen = moments.update(frontier.bonuses, bonus)
         failures = 1.0 - frontier.successes / frontier.episodes
         reward = failures * config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
@@ -118,7 +125,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
-) -> tuple[Frontier, Int[Array, "T E state"], Bool[Array, "T E state"]]:
+) -> tuple[Frontier, Bool[Array, "T E state bins"]]:
     """Count the episodes of a rollout that reach each bin, and those that get a reward.
 
     Args:
@@ -127,42 +134,51 @@ def explore(
         config: number of rollouts to average over, and what is forgotten per rollout.
 
     Returns:
-        The new state; the bin of each feature; and whether its episode visits the bin for the
-        first time.
+        The new state, and which bins each step reaches as the first of its episode.
     """
     states = outcome.state
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
-    bins = find_bins(frontier, states)
-    visited, is_first = first_visits(frontier.visited, bins, outcome.done)
-    keep = 1.0 - 1.0 / config.window
-    features = jnp.broadcast_to(jnp.arange(states.shape[-1]), bins.shape)
-    reached = (frontier.reached * keep).at[features, bins].add(is_first.astype(jnp.float32))
-    episodes = frontier.episodes * keep + outcome.done.sum()
+    before = jnp.concatenate([frontier.before[None], states[:-1]])
+    begins = jnp.concatenate([frontier.begins[None], outcome.done[:-1]])
+    before = jnp.where(begins[..., None], states, before)
+    ends = find_bins(frontier, before), find_bins(frontier, states)
+    visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
     rewarded, successes = count_rewarded(frontier.rewarded, outcome.reward, outcome.done)
+    keep = 1.0 - 1.0 / config.window
+    reached = frontier.reached * keep + is_first.sum((0, 1))
+    episodes = frontier.episodes * keep + outcome.done.sum()
     share = jnp.minimum(reached / jnp.maximum(episodes, 1.0), 1.0)
     frontier = frontier._replace(
         reached=reached,
         episodes=episodes,
         mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
+        before=states[-1],
+        begins=outcome.done[-1],
         successes=frontier.successes * keep + successes,
         rewarded=rewarded,
     )
-    return frontier, bins, is_first
+    return frontier, is_first
 
 
 def first_visits(
-    visited: Bool[Array, "E state bins"], bins: Int[Array, "T E state"], done: Bool[Array, "T E"]
-) -> tuple[Bool[Array, "E state bins"], Bool[Array, "T E state"]]:
-    """Return the bins that episodes under way have visited, and which visits are first ones."""
+    visited: Bool[Array, "E state bins"],
+    start: Int[Array, "T E state"],
+    end: Int[Array, "T E state"],
+    done: Bool[Array, "T E"],
+) -> tuple[Bool[Array, "E state bins"], Bool[Array, "T E state bins"]]:
+    """Return the bins that episodes under way have visited, and those that each step adds.
+
+    A step from bin `start` to bin `end` visits both and all between.
+    """
+    bins = jnp.arange(visited.shape[-1])
+    low, high = jnp.minimum(start, end)[..., None], jnp.maximum(start, end)[..., None]
 
     def step(visited, x):
-        bins, done = x
-        here = bins[..., None] == jnp.arange(visited.shape[-1])
-        is_first = (here & ~visited).any(-1)
-        return (visited | here) & ~done[:, None, None], is_first
+        here, done = x
+        return (visited | here) & ~done[:, None, None], here & ~visited
 
-    return jax.lax.scan(step, visited, (bins, done))
+    return jax.lax.scan(step, visited, ((low <= bins) & (bins <= high), done))
 
 
 def count_rewarded(
