@@ -10,6 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 import envs_jax
+from hmasd_jax.baselines.eiti.algorithm import make_eiti
+from hmasd_jax.baselines.eiti.config import EITIConfig
 from hmasd_jax.baselines.mappo import MAPPOConfig, make_mappo
 from hmasd_jax.baselines.mat import MATConfig, make_mat
 from hmasd_jax.hmasd.algorithm import make_hmasd
@@ -65,6 +67,7 @@ def test_each_network_has_its_average_and_training_does_not_see_it():
 
 ALGORITHMS = {
     "mappo": (make_mappo, MAPPOConfig(ppo=PPO), ["learner"]),
+    "eiti": (make_eiti, EITIConfig(ppo=PPO), ["learner"]),
     "mat": (make_mat, MATConfig(ppo=PPO), ["learner"]),
     "hmasd": (
         make_hmasd, HMASDConfig(skill_interval=5, ppo=PPO, discriminator_epochs=1),

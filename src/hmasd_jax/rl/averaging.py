@@ -6,6 +6,7 @@ changes slowly, so it acts in evaluation. Training goes on from the last paramet
 
 from typing import Any, NamedTuple, cast
 
+import jax
 import optax
 from jax.flatten_util import ravel_pytree
 
@@ -47,6 +48,11 @@ def averaged_params(learner: Learner) -> dict[str, Any]:
 
     def average_of(name: str, params: Any) -> Any:
         average = optax.tree.get(states[name], "average")
-        return params if average is None else ravel_pytree(params)[1](average)
+        return params if average is None else unravel(average, params)
+
+    def unravel(average: Any, params: Any) -> Any:
+        if average.ndim > 1:  # An axis of agents, as in EITI, is before all others.
+            return jax.vmap(unravel)(average, params)
+        return ravel_pytree(params)[1](average)
 
     return {name: average_of(name, params) for name, params in learner.params.items()}
