@@ -2,7 +2,7 @@
 
 import pytest
 
-from hmasd_jax.cli.options import split_vary
+from hmasd_jax.cli.options import split_settings
 from hmasd_jax.config import load
 from hmasd_jax.search.space import (
     Choices,
@@ -19,7 +19,7 @@ PRESET = load()
 
 
 def read(*vary):
-    return read_space(PRESET, [split_vary(word) for word in vary])
+    return read_space(PRESET, split_settings(vary))
 
 
 def test_ranges_and_lists():

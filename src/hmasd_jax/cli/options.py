@@ -2,7 +2,7 @@
 
 import itertools
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
@@ -110,17 +110,29 @@ class GridOptions(RunOptions):
             ConfigError: An entry of `vary` is not of the form NAME=VALUE,VALUE, or two name the
                 same setting.
         """
-        settings = [split_vary(vary) for vary in self.vary or ("",)]
-        names = [name for name, _ in settings]
-        for name, values in settings:
-            if names.count(name) > 1:
-                raise ConfigError(f"--vary names {name} twice: give all its values at once")
+        settings = split_settings(self.vary or ("",))
+        for _, values in settings:
             for value in values:
                 if not value.isprintable() or "/" in value or os.sep in value:
                     raise ConfigError(
                         f"--vary: {value!r} cannot name a folder; give it in a TOML file"
                     )
-        return [dict(zip(names, values)) for values in itertools.product(*(v for _, v in settings))]
+        names, values = zip(*settings)
+        return [dict(zip(names, cell)) for cell in itertools.product(*values)]
+
+
+def split_settings(varied: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """Return the dotted name and the values of each NAME=VALUE,VALUE.
+
+    Raises:
+        ConfigError: One is not of this form, or two name the same setting.
+    """
+    settings = [split_vary(vary) for vary in varied]
+    names = [name for name, _ in settings]
+    for name in names:
+        if names.count(name) > 1:
+            raise ConfigError(f"--vary names {name} twice: give all its values at once")
+    return settings
 
 
 def split_vary(vary: str) -> tuple[str, list[str]]:

@@ -10,7 +10,7 @@ from rich.console import Console
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.cli import summary
 from hmasd_jax.cli.hints import suggest_next
-from hmasd_jax.cli.options import SweepOptions, TuneOptions, split_vary
+from hmasd_jax.cli.options import SweepOptions, TuneOptions, split_settings
 from hmasd_jax.cli.train_commands import (
     FAILED,
     INTERRUPTED,
@@ -72,7 +72,7 @@ def open_search(config: TrainConfig, options: TuneOptions) -> Search:
     number = _first(options.trials, saved and saved.trials, TRIALS)
     definition = Definition(
         config=config,
-        settings=[split_vary(vary) for vary in options.vary] or (old.settings if old else []),
+        settings=split_settings(options.vary) or (old.settings if old else []),
         last=_first(options.last, old and old.last, LAST),
         prune_after=_first(options.prune_after, old and old.prune_after, PRUNE_AFTER),
     )

@@ -40,8 +40,8 @@ def read_space(config: TrainConfig, settings: Sequence[tuple[str, Sequence[str]]
             range.
 
     Raises:
-        ConfigError: A setting is unknown, named twice or no part of env and algorithm, a range is
-            not one, or the setting refuses a value.
+        ConfigError: A setting is unknown or no part of env and algorithm, a range is not one, or
+            the setting refuses a value.
     """
     if not settings:
         raise ConfigError(
@@ -50,8 +50,6 @@ def read_space(config: TrainConfig, settings: Sequence[tuple[str, Sequence[str]]
         )
     space: Space = {}
     for name, texts in settings:
-        if name in space:
-            raise ConfigError(f"--vary names {name} twice: give all its values at once")
         if not name.startswith(TASKS):
             raise ConfigError(f"--vary {name}: only settings of env and algorithm can be searched")
         if len(texts) > 1:
