@@ -76,9 +76,7 @@ class Frontier(NamedTuple):
     visited: Bool[Array, "E state bins"]
     """Bins that the episode under way has visited."""
     before: Float[Array, "E state"]
-    """State before the next step."""
-    begins: Bool[Array, " E"]
-    """Whether the next step is the first of an episode, so that `before` is of another one."""
+    """State before the next step, or the last of the episode before if one begins."""
     successes: Float[Array, ""]
     """Number of recent episodes that got a reward."""
     rewarded: Bool[Array, " E"]
@@ -103,7 +101,6 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
             before=jnp.zeros((num_envs, env.state_dim)),
-            begins=jnp.ones(num_envs, bool),
             successes=jnp.float32(0),
             rewarded=jnp.zeros(num_envs, bool),
             bonuses=Moments.create(),
@@ -139,7 +136,7 @@ def explore(
     states = outcome.state
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
     before = jnp.concatenate([frontier.before[None], states[:-1]])
-    begins = jnp.concatenate([frontier.begins[None], outcome.done[:-1]])
+    begins = jnp.concatenate([~frontier.visited.any((1, 2))[None], outcome.done[:-1]])
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
@@ -154,7 +151,6 @@ def explore(
         mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
         before=states[-1],
-        begins=outcome.done[-1],
         successes=frontier.successes * keep + successes,
         rewarded=rewarded,
     )
