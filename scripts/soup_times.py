@@ -3,7 +3,7 @@
 python scripts/soup_times.py RUN OUT
 
 OUT (JSON) gets one row per seed: for each seat of agent 0, the steps at which one greedy game
-earns its soups, and the player that served each.
+earns its soups, the player that served each, and the number of soups taken from each pot.
 """
 
 import argparse
@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from envs_jax.overcooked.rules import SOUP
+from envs_jax.overcooked.rules import COOKING, POT, SOUP
 from hmasd_jax.analysis.episodes import play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
@@ -37,8 +37,15 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
         games[f"agent 0 is player {player}"] = {
             "served_at": steps.tolist(),
             "by_player": carries_soup.argmax(1).tolist(),
+            "from_pot": soups_from(states.grid[game]),
         }
     return {"seed": seed, "env_steps": trained.env_steps, **games}
+
+
+def soups_from(grid: np.ndarray) -> dict[str, int]:
+    """Count the soups taken from each pot of a game, (T, cells), by the number of its cell."""
+    taken = (grid[:-1] >= COOKING) & (grid[1:] == POT)
+    return {str(cell): int(taken[:, cell].sum()) for cell in np.flatnonzero(grid[0] == POT)}
 
 
 def main() -> None:

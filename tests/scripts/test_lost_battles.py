@@ -1,0 +1,29 @@
+"""The script that records by how much battles are lost."""
+
+import jax
+import pytest
+
+import envs_jax
+from envs_jax.micro_battle import MicroBattle
+from hmasd_jax.runs.load import TrainedRun
+from hmasd_jax.types import Algorithm, Policy
+from scripts import lost_battles
+
+
+def random_step(memory, timestep, first, key):
+    return memory, envs_jax.random_actions(key, timestep.action_mask), ()
+
+
+def test_battles_cut_short_leave_the_enemy_its_health(monkeypatch):
+    policy = Policy(lambda batch_shape: (), random_step)
+    algorithm = Algorithm(None, None, lambda state, greedy: policy)
+    env = MicroBattle("2m_vs_1z", time_limit=3)
+    run = TrainedRun(config=None, env=env, algorithm=algorithm, state=None, env_steps=7)
+    monkeypatch.setattr(lost_battles, "load_run", lambda path, seed: run)
+    monkeypatch.setattr(lost_battles, "BATTLES", 4)
+    row = lost_battles.measure("run", 5)
+    health = float(env.reset(jax.random.key(0))[0].units.health[2])
+    assert row["won"] == 0
+    assert row["seed"] == 5
+    assert row["env_steps"] == 7
+    assert row["health left"]["100"] == pytest.approx(health)
