@@ -13,6 +13,7 @@ SCRIPTS = [
     "random_play",
     "record_result",
     "record_tried",
+    "skill_accuracy",
     "skill_actions",
     "soup_times",
 ]
