@@ -1,5 +1,6 @@
 """Pictures of Overcooked, drawn with NumPy at twice the size and averaged for smooth edges."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -56,10 +57,9 @@ FACING = ((0, -1), (0, 1), (1, 0), (-1, 0))
 class _Canvas:
     """Image on which to paint shapes, in units of cells."""
 
-    def __init__(self, kitchen: Kitchen) -> None:
+    def __init__(self, image: np.ndarray) -> None:
         self.scale = SIDE * DETAIL
-        shape = (kitchen.height * self.scale, kitchen.width * self.scale, 3)
-        self.image = np.zeros(shape, np.float32)
+        self.image = image
 
     def box(self, x: float, y: float, half: tuple, color: str, round_by: float = 0.0) -> None:
         """Paint a rectangle around (x, y).
@@ -112,17 +112,24 @@ class _Canvas:
 
 def draw(kitchen: Kitchen, state: Any) -> np.ndarray:
     """Draw an unbatched `OvercookedState` as a uint8 image (height, width, 3)."""
-    canvas = _Canvas(kitchen)
-    for cell, code in enumerate(np.asarray(state.grid).tolist()):
-        x, y = kitchen.xy(cell) + 0.5
-        _draw_cell(canvas, x, y, code)
+    cells = [_cell_picture(code) for code in np.asarray(state.grid).tolist()]
+    rows = [np.hstack(cells[i : i + kitchen.width]) for i in range(0, len(cells), kitchen.width)]
+    canvas = _Canvas(np.vstack(rows))
     for player, (pose, item) in enumerate(zip(np.asarray(state.pose), np.asarray(state.held))):
         x, y = kitchen.xy(int(pose) // 4) + 0.5
         color = COOKS[player ^ int(state.swapped)]
         _draw_cook(canvas, x, y, FACING[int(pose) % 4], int(item), color)
-    height, width = kitchen.height * SIDE, kitchen.width * SIDE
-    parts = canvas.image.reshape(height, DETAIL, width, DETAIL, 3)
-    return parts.mean((1, 3)).round().astype(np.uint8)
+    # Strided sums take a fifth of the time of `mean` over two short axes.
+    corners = [canvas.image[i::DETAIL, j::DETAIL] for i in range(DETAIL) for j in range(DETAIL)]
+    return (np.sum(corners, axis=0) / len(corners)).round().astype(np.uint8)
+
+
+@cache
+def _cell_picture(code: int) -> np.ndarray:
+    """Draw one cell alone. A kitchen has few states of cells, and an episode many pictures."""
+    canvas = _Canvas(np.zeros((SIDE * DETAIL, SIDE * DETAIL, 3), np.float32))
+    _draw_cell(canvas, 0.5, 0.5, code)
+    return canvas.image
 
 
 def _draw_cell(canvas: _Canvas, x: float, y: float, code: int) -> None:
