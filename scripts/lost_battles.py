@@ -6,7 +6,6 @@ OUT (JSON) gets one row per seed: the share of greedy battles that are won, and 
 enemies together have left at the end of those that are lost.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,8 @@ import jax
 import numpy as np
 
 from hmasd_jax.analysis.episodes import play
-from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
-from scripts.records import describe_script, write_rows
+from scripts.records import record_seeds
 
 BATTLES = 200
 PERCENTILES = (0, 10, 50, 90, 100)
@@ -39,16 +37,5 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
     return row
 
 
-def main() -> None:
-    """Measure all seeds of the run and write the record."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run on micro_battle")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    args = parser.parse_args()
-    about = describe_script(args.run)
-    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
-    write_rows(args.out, about, rows)
-
-
 if __name__ == "__main__":
-    main()
+    record_seeds(__doc__, "folder of a run on micro_battle", measure)

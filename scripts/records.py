@@ -1,7 +1,9 @@
 """JSON records of what the scripts measure, together with what produced them."""
 
+import argparse
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -30,3 +32,32 @@ def write_rows(out: Path, about: dict[str, Any], rows: list[dict[str, Any]]) -> 
     """Write measured `rows` to the JSON file `out`, below what produced them."""
     out.parent.mkdir(parents=True, exist_ok=True)
     run_folder.write_json(out, about | {"rows": rows})
+
+
+def parse_run_and_out(doc: str | None, run_help: str) -> argparse.Namespace:
+    """Read the arguments RUN and OUT of a script.
+
+    Args:
+        doc: docstring of the script, whose first line describes it.
+        run_help: kind of run that the script reads.
+    """
+    parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help=run_help)
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    return parser.parse_args()
+
+
+def record_seeds(
+    doc: str | None, run_help: str, measure: Callable[[Path, int], dict[str, Any]]
+) -> None:
+    """Read RUN and OUT from the command line, and write one row per seed of the run.
+
+    Args:
+        doc: docstring of the script, whose first line describes it.
+        run_help: kind of run that the script reads.
+        measure: function of the folder of a run and the index of a seed.
+    """
+    args = parse_run_and_out(doc, run_help)
+    about = describe_script(args.run)
+    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
+    write_rows(args.out, about, rows)

@@ -9,7 +9,6 @@ often, so chance is 1 / n_z. The accuracy of q_d in training is higher where the
 a skill.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +20,8 @@ from hmasd_jax.analysis.episodes import play
 from hmasd_jax.analysis.skills import Condition, allowed_skills
 from hmasd_jax.hmasd.discriminators import Classifier
 from hmasd_jax.rl import moments
-from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import TrainedRun, load_run
-from scripts.records import describe_script, write_rows
+from scripts.records import record_seeds
 
 EPISODES = 64
 """Episodes per skill."""
@@ -110,16 +108,5 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def main() -> None:
-    """Measure all seeds of the run and write the record."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of an HMASD run")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    args = parser.parse_args()
-    about = describe_script(args.run)
-    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
-    write_rows(args.out, about, rows)
-
-
 if __name__ == "__main__":
-    main()
+    record_seeds(__doc__, "folder of an HMASD run", measure)

@@ -7,9 +7,7 @@ gets one row per seed and skill: how often living agents take each action where 
 where they cannot, and how the battles end.
 """
 
-import argparse
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,7 +20,7 @@ from hmasd_jax.rl.evaluate import play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Policy, Transition
-from scripts.records import describe_script, write_rows
+from scripts.records import describe_script, parse_run_and_out, write_rows
 
 COPIES = 200
 ACTIONS = ("stop", "north", "south", "east", "west", "attack")
@@ -76,10 +74,7 @@ def action_shares(actions: np.ndarray) -> dict[str, float]:
 
 def main() -> None:
     """Measure all skills of all seeds of the run and write the record."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run on micro_battle")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    args = parser.parse_args()
+    args = parse_run_and_out(__doc__, "folder of a run on micro_battle")
     about = describe_script(args.run)
     num_skills = run_folder.read_config(args.run).algorithm.num_skills
     rows = []

@@ -6,7 +6,6 @@ OUT (JSON) gets one row per seed: for each seat of agent 0, the steps at which o
 earns its soups, the player that served each, and the number of soups taken from each pot.
 """
 
-import argparse
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ import numpy as np
 
 from envs_jax.overcooked.rules import COOKING, POT, SOUP
 from hmasd_jax.analysis.episodes import play
-from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
-from scripts.records import describe_script, write_rows
+from scripts.records import record_seeds
 
 GAMES = 16
 """Games to play; enough for both seats to be among them."""
@@ -48,16 +46,5 @@ def soups_from(grid: np.ndarray) -> dict[str, int]:
     return {str(cell): int(taken[:, cell].sum()) for cell in np.flatnonzero(grid[0] == POT)}
 
 
-def main() -> None:
-    """Measure all seeds of the run and write the record."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run on overcooked")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    args = parser.parse_args()
-    about = describe_script(args.run)
-    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
-    write_rows(args.out, about, rows)
-
-
 if __name__ == "__main__":
-    main()
+    record_seeds(__doc__, "folder of a run on overcooked", measure)

@@ -3,20 +3,15 @@
 import jax
 import pytest
 
-import envs_jax
 from envs_jax.micro_battle import MicroBattle
 from hmasd_jax.runs.load import TrainedRun
-from hmasd_jax.types import Algorithm, Policy
+from hmasd_jax.types import Algorithm
 from scripts import lost_battles
-
-
-def random_step(memory, timestep, first, key):
-    return memory, envs_jax.random_actions(key, timestep.action_mask), ()
+from tests.helpers.random_play import RANDOM
 
 
 def test_battles_cut_short_leave_the_enemy_its_health(monkeypatch):
-    policy = Policy(lambda batch_shape: (), random_step)
-    algorithm = Algorithm(None, None, lambda state, greedy: policy)
+    algorithm = Algorithm(None, None, lambda state, greedy: RANDOM)
     env = MicroBattle("2m_vs_1z", time_limit=3)
     run = TrainedRun(config=None, env=env, algorithm=algorithm, state=None, env_steps=7)
     monkeypatch.setattr(lost_battles, "load_run", lambda path, seed: run)

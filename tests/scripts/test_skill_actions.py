@@ -4,26 +4,20 @@ import jax
 import numpy as np
 import pytest
 
-import envs_jax
 from envs_jax.micro_battle import MicroBattle
-from hmasd_jax.types import Policy
 from scripts import skill_actions
+from tests.helpers.random_play import RANDOM
 
 STEPS, COPIES, AGENTS = 8, 5, 2
-
-
-def random_step(memory, timestep, first, key):
-    return memory, envs_jax.random_actions(key, timestep.action_mask), ()
 
 
 @pytest.fixture(scope="module")
 def battles():
     """Random play on 2m_vs_1z, with an error if a key is used twice."""
     env = MicroBattle("2m_vs_1z", time_limit=STEPS)
-    policy = Policy(lambda batch_shape: (), random_step)
     with pytest.MonkeyPatch.context() as patch, jax.debug_key_reuse(True):
         patch.setattr(skill_actions, "COPIES", COPIES)
-        return skill_actions.play_battles(env, policy, jax.random.key(0))
+        return skill_actions.play_battles(env, RANDOM, jax.random.key(0))
 
 
 def test_every_copy_is_played_for_the_time_limit(battles):
