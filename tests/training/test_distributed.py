@@ -2,27 +2,32 @@
 
 import json
 import os
+import signal
 import socket
 import subprocess
 import sys
+import time
 
 import pytest
 
 from hmasd_jax.cli.main import main
 from hmasd_jax.runs.folder import available_cores, seeds_of
-from hmasd_jax.training.distributed import share_of_cores
+from hmasd_jax.training import distributed
+from hmasd_jax.training.distributed import Group, share_of_cores
+from hmasd_jax.training.job import Event
 from tests.helpers import toy
+from tests.helpers.processes import latest, wait_until
 from tests.helpers.toy import numbers, words
 
 TOY, WORDS = toy.__file__, words()
 
 
 @pytest.fixture
-def sweep():
-    """`sweep(run, *words)`: two processes of one sweep; their exit codes and outputs."""
+def start_two():
+    """`start_two(run, *words)`: the two processes of one sweep."""
     processes = []
 
-    def sweep(run, *words):
+    def start_two(run, *words):
         with socket.socket() as free:
             free.bind(("localhost", 0))
             address = f"localhost:{free.getsockname()[1]}"
@@ -42,12 +47,23 @@ def sweep():
             }
             options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
             processes.append(subprocess.Popen([*command, *words], env=env, **options))
+        return processes
+
+    yield start_two
+    for process in processes:
+        process.kill()
+
+
+@pytest.fixture
+def sweep(start_two):
+    """`sweep(run, *words)`: two processes of one sweep; their exit codes and outputs."""
+
+    def sweep(run, *words):
+        processes = start_two(run, *words)
         outputs = [process.communicate(timeout=120) for process in processes]
         return [process.returncode for process in processes], outputs
 
-    yield sweep
-    for process in processes:
-        process.kill()
+    return sweep
 
 
 @pytest.mark.parametrize("layout", ["workers", "vmap"])
@@ -83,6 +99,45 @@ def test_two_processes_share_the_seeds_and_make_one_run(layout, sweep, tmp_path)
 )
 def test_processes_on_the_same_cores_share_them_out(places, shares):
     assert [share_of_cores([2, 3, 5], places, i) for i in range(len(places))] == shares
+
+
+def test_told_to_stop_the_first_process_waits_until_the_others_have_saved(start_two, tmp_path):
+    run, total = tmp_path / "run", 80 * 300
+    steps = words(total_env_steps=total, num_seeds=2)
+    first, second = start_two(run, *steps, "--layout", "vmap")
+    wait_until(lambda: latest(run, 1) > 0, second)
+    second.send_signal(signal.SIGSTOP)  # The first process ends while the second still trains.
+    wait_until(lambda: latest(run, 0) == total, first)
+    for process in (first, second):
+        process.send_signal(signal.SIGTERM)
+    time.sleep(1)
+    second.send_signal(signal.SIGCONT)
+    outputs = [process.communicate(timeout=60) for process in (first, second)]
+    assert [first.returncode, second.returncode] == [130, 130], outputs
+    assert "to continue: python -m hmasd_jax.train seed_sweep" in outputs[0][0]
+    seeds = json.loads((run / "summary.json").read_text())["seeds"]
+    assert [seeds[seed]["status"] for seed in ("0", "1")] == ["finished", "interrupted"]
+    assert 0 < latest(run, 1) == numbers(run, 1)[-1]["env_steps"] < total
+
+
+def test_a_process_that_never_reports_is_given_up_once_told_to_stop(tmp_path, monkeypatch):
+    monkeypatch.setattr(distributed, "POLL_SECONDS", 0)
+    monkeypatch.setattr(distributed, "GRACE_SECONDS", 0.01)
+    group, asked = Group(index=0, size=3), []
+    distributed.gather(Group(2, 3), tmp_path, [], {2: Event("finished", 2, {})}, bool)
+
+    def should_stop():
+        asked.append(True)
+        return len(asked) > 5
+
+    mine = {0: Event("finished", 0, {}), 3: Event("finished", 3, {})}
+    results = distributed.gather(group, tmp_path, list(range(5)), mine, should_stop)
+    assert len(asked) > 5
+    assert {seed: event.kind for seed, event in sorted(results.items())} == {
+        0: "finished", 1: "failed", 2: "finished", 3: "finished", 4: "failed",
+    }  # fmt: skip
+    assert results[4].data == {"message": "process 1, which trains it, has not reported"}
+    assert not list(tmp_path.iterdir())
 
 
 def test_when_the_first_process_refuses_all_do(sweep, tmp_path):

@@ -115,6 +115,7 @@ def run_seeds(
     console, run = Console(quiet=not group.leads), options.run_dir
     assert run is not None
     _prepare(run, config, options.resume, shell_command(words), group)
+    distributed.leave(group)
     mine = group.share(seeds)
     text = describe(config, seeds, run, layout, group)
     for line in filter(None, (text, use_cache())):
@@ -126,7 +127,7 @@ def run_seeds(
         for each in watchers:
             each.handle(event)
 
-    with stop_on_signal() as interrupted, display:
+    with stop_on_signal() as interrupted:
         job = Job(
             run=run,
             config=config,
@@ -136,11 +137,14 @@ def run_seeds(
             report=report,
             should_stop=lambda: interrupted() or (watcher is not None and watcher.should_stop()),
         )
-        if layout == "workers":
-            results = run_workers(job, mine, worker_cores(len(mine)))
-        else:
-            results = train_seeds(job, mine)
-    return distributed.gather(group, run, results)
+        with display:
+            if layout == "workers":
+                results = run_workers(job, mine, worker_cores(len(mine)))
+            else:
+                results = train_seeds(job, mine)
+        if group.size > 1:
+            console.print("waiting for the other processes")
+        return distributed.gather(group, run, seeds, results, interrupted)
 
 
 def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], group: Group) -> None:

@@ -1,16 +1,20 @@
-"""One sweep over several processes, e.g. one per node of a cluster, on JAX's own runtime.
+"""One sweep over several processes, e.g. one per node of a cluster.
 
 Seeds do not communicate. Each process trains its share of them on its own cores or accelerators, in
 the layout that it would choose alone. Processes that start on the same cores divide them. All write
 to the same run folder, which must be on a file system that all of them can see. The first process
 prepares the folder, displays its own seeds, and writes the summary when all have ended.
+
+The processes find each other through JAX's runtime, and leave it before they train. It would end
+all of them as soon as one dies, or when one ends five minutes before the others.
 """
 
 import json
+import math
 import os
 import time
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +25,8 @@ from hmasd_jax.runs.folder import RunError, available_cores, write_json
 from hmasd_jax.training.job import Event
 
 POLL_SECONDS = 1.0
+GRACE_SECONDS = 60.0
+"""Time that the first process, when told to stop, gives the others to save and report."""
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 """File in which Linux identifies the running machine, also from within a container."""
 
@@ -109,16 +115,30 @@ def share_of_cores(cores: list[int], places: Sequence[int], index: int) -> list[
     return cores[turn :: len(neighbors)] or [cores[turn % len(cores)]]
 
 
-def gather(group: Group, run: Path, results: dict[int, Event]) -> dict[int, Event]:
+def leave(group: Group) -> None:
+    """Disconnect the processes; all must call this. Each then lives and dies alone."""
+    if group.size > 1:
+        jax.distributed.shutdown()
+
+
+def gather(
+    group: Group,
+    run: Path,
+    seeds: list[int],
+    results: dict[int, Event],
+    should_stop: Callable[[], bool],
+) -> dict[int, Event]:
     """Collect the last events of the seeds of all processes.
 
-    The processes exchange files, because they may end hours apart. If one dies, JAX's runtime ends
-    the others.
+    The processes exchange files, because they may end hours apart.
 
     Args:
         group: The processes.
         run: Folder of the run.
+        seeds: Indices of the seeds of all processes.
         results: Last event of each seed of this process.
+        should_stop: Once it returns True, processes that do not report within `GRACE_SECONDS` are
+            given up, and their seeds have failed.
 
     Returns:
         Last event of each seed of all processes for the leader, `results` for the others.
@@ -126,12 +146,20 @@ def gather(group: Group, run: Path, results: dict[int, Event]) -> dict[int, Even
     if not group.leads:
         write_json(_path(run, group.index), list(results.values()))
         return results
+    deadline = math.inf
     for index in range(1, group.size):
-        while not _path(run, index).exists():
+        while not (path := _path(run, index)).exists() and time.monotonic() < deadline:
             time.sleep(POLL_SECONDS)
-        for kind, seed, data in json.loads(_path(run, index).read_text()):
-            results[seed] = Event(kind, seed, data)
-        _path(run, index).unlink()
+            if should_stop():
+                deadline = min(deadline, time.monotonic() + GRACE_SECONDS)
+        if path.exists():
+            events = [Event(kind, seed, data) for kind, seed, data in json.loads(path.read_text())]
+            path.unlink()
+        else:
+            message = f"process {index}, which trains it, has not reported"
+            share = group._replace(index=index).share(seeds)
+            events = [Event("failed", seed, {"message": message}) for seed in share]
+        results = results | {event.seed: event for event in events}
     return results
 
 
