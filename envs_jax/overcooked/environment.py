@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.choices import check_choice, check_whole, show
-from envs_jax.overcooked import features, layouts, lossless
+from envs_jax.overcooked import features, kitchen_state, layouts, lossless
 from envs_jax.overcooked.layouts import Kitchen
 from envs_jax.overcooked.render import COOKS, SIDE, draw
 from envs_jax.overcooked.rules import (
@@ -30,6 +30,7 @@ from envs_jax.overcooked.rules import (
 from envs_jax.types import TimeStep
 
 Observation = Literal["features", "lossless"]
+State = Literal["obs", "kitchen"]
 
 NORTH, SOUTH, EAST, WEST, STAY, INTERACT = range(6)
 REWARD = 20
@@ -73,12 +74,18 @@ class Overcooked:
     al. 2019, and JaxMARL).
     """
     observation: Observation = "features"
-    """Encoding of obs and state.
+    """Encoding of obs.
 
-    `features` is HMASD's encoding: obs (96) as in the module `features`, and state (192) is the obs
-    of both agents. They show neither objects on counters nor the time. `lossless`: obs (26 per
-    cell) as in the module `lossless`, and state is the obs of player 0, whichever agent that is,
-    followed by the fraction of the time limit that has passed.
+    `features` is HMASD's encoding (96) as in the module `features`. It shows neither objects on
+    counters nor the time. `lossless` (26 per cell) is as in the module `lossless`.
+    """
+    state: State = "obs"
+    """Encoding of the global state.
+
+    `obs` goes with the observation. With `features`, as in HMASD, it is the obs of both agents
+    (192). With `lossless` it is the obs of player 0, whichever agent that is, followed by the
+    fraction of the time limit that has passed. `kitchen` is as in the module `kitchen_state`, 18
+    numbers and 5 per pot: it tells the pots apart.
     """
     random_seats: bool = True
     """If True, a coin toss at each reset decides which agent is which player, as in HMASD."""
@@ -100,6 +107,7 @@ class Overcooked:
         check_whole("max_steps", self.max_steps)
         check_choice("start_cooking", self.start_cooking, StartCooking)
         check_choice("observation", self.observation, Observation)
+        check_choice("state", self.state, State)
         check_choice("random_seats", self.random_seats, Literal[True, False])
 
     @property
@@ -117,6 +125,8 @@ class Overcooked:
     @property
     def state_dim(self) -> int:
         """Length of the global state vector."""
+        if self.state == "kitchen":
+            return kitchen_state.state_dim(self.layout)
         return 2 * self.obs_dim if self.observation == "features" else self.obs_dim + 1
 
     def reset(self, key: jax.Array) -> tuple[OvercookedState, TimeStep]:
@@ -134,11 +144,13 @@ class Overcooked:
         if not self.random_seats:
             return env_state, timestep
         # A trainer may prepare a reset in every copy at every step, so resets must be cheap. The
-        # coin is one bit of the key, which is random already, and the start is encoded only once.
+        # coin is one bit of the key, which is random already, and obs is encoded only once.
         swapped = (jax.random.key_data(key)[-1] & 1).astype(bool)
+        env_state = env_state._replace(swapped=swapped)
         obs = jnp.where(swapped, timestep.obs[::-1], timestep.obs)
-        state = obs.reshape(-1) if self.observation == "features" else timestep.state
-        return env_state._replace(swapped=swapped), timestep._replace(obs=obs, state=state)
+        if self.state == "kitchen" or self.observation == "features":
+            timestep = timestep._replace(state=self._global_state(env_state, obs))
+        return env_state, timestep._replace(obs=obs)
 
     def step(
         self, key: jax.Array, env_state: OvercookedState, action: Int[Array, " agents"]
@@ -185,25 +197,33 @@ class Overcooked:
         return grid, jnp.stack(held), soups
 
     def _timestep(self, state: OvercookedState, reward: Float[Array, ""]) -> TimeStep:
-        if self.observation == "features":
-            cooks = (state.pose, state.held)
-            pose, held = (jnp.where(state.swapped, x[::-1], x) for x in cooks)
-            obs = features.observe(self.layout, pose, held, state.grid)
-            global_state = obs.reshape(-1)
-        else:
-            urgent = self.max_steps - state.time < lossless.URGENT_STEPS
-            by_player = lossless.observe(self.kitchen, *state[:3], urgent)
-            obs = jnp.where(state.swapped, by_player[::-1], by_player)
-            global_state = jnp.append(by_player[0], state.time / self.max_steps)
+        obs = self._observe(state)
         return TimeStep(
             obs=obs,
-            state=global_state,
+            state=self._global_state(state, obs),
             action_mask=jnp.ones((self.num_agents, self.num_actions), bool),
             reward=reward,
             terminated=jnp.bool(False),
             truncated=state.time >= self.max_steps,
             info={"soups": state.soups.astype(jnp.float32)},
         )
+
+    def _observe(self, state: OvercookedState) -> Float[Array, "agents obs"]:
+        if self.observation == "features":
+            return features.observe(self.layout, *_by_agent(state), state.grid)
+        urgent = self.max_steps - state.time < lossless.URGENT_STEPS
+        by_player = lossless.observe(self.kitchen, *state[:3], urgent)
+        return jnp.where(state.swapped, by_player[::-1], by_player)
+
+    def _global_state(
+        self, state: OvercookedState, obs: Float[Array, "agents obs"]
+    ) -> Float[Array, " state"]:
+        if self.state == "kitchen":
+            return kitchen_state.encode(self.layout, *_by_agent(state), state.grid)
+        if self.observation == "features":
+            return obs.reshape(-1)
+        player_0 = jnp.where(state.swapped, obs[1], obs[0])
+        return jnp.append(player_0, state.time / self.max_steps)
 
     def events(
         self, before: OvercookedState, action: Int[Array, " agents"], after: OvercookedState
@@ -227,6 +247,12 @@ class Overcooked:
     def render(self, env_state: OvercookedState) -> np.ndarray:
         """Draw the kitchen, with agent 0 in blue and agent 1 in red on either seat."""
         return draw(self.kitchen, env_state)
+
+
+def _by_agent(state: OvercookedState) -> tuple[Int[Array, "2"], Int[Array, "2"]]:
+    """Return the pose and the item of each agent's cook."""
+    pose, held = (jnp.where(state.swapped, x[::-1], x) for x in (state.pose, state.held))
+    return pose, held
 
 
 def _move(kitchen: Kitchen, pose: Int[Array, "2"], action: Int[Array, "2"]) -> Int[Array, "2"]:

@@ -1,0 +1,88 @@
+"""Global state of Overcooked in the frame of the kitchen: every agent and every pot, once.
+
+The observations of `features` are relative. Their closest pot is now this pot and now that one, as
+the observer walks. Here each pot has numbers of its own:
+
+- for each agent (9): orientation (4: N S E W), held item (3: onion, dish, soup), x, y
+- for each pot (5): its onions, is full, is cooking, is ready, steps until it is ready
+
+Objects on counters and the time are left out, as they are in `features`.
+"""
+
+from functools import lru_cache
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from envs_jax.overcooked.layouts import read
+from envs_jax.overcooked.rules import (
+    CAPACITY,
+    DISH,
+    FLOOR,
+    IDLE,
+    NUM_CELL_STATES,
+    NUM_ITEMS,
+    ONION,
+    POT,
+    READY,
+    SOUP,
+    read_pot,
+)
+
+AGENT_NUMBERS, POT_NUMBERS = 9, 5
+
+
+def state_dim(layout: str) -> int:
+    """Return the length of the state of a kitchen."""
+    return 2 * AGENT_NUMBERS + POT_NUMBERS * len(read(layout).pots)
+
+
+def encode(
+    layout: str,
+    pose: Int[Array, "2"],
+    held: Int[Array, "2"],
+    grid: Int[Array, " cells"],
+) -> Float[Array, " state"]:
+    """Encode the state as a sum of table rows.
+
+    Args:
+        layout: Name or text of the kitchen.
+        pose: Pose of each agent's cook.
+        held: Item that each of them holds.
+        grid: State of each cell.
+    """
+    agents, pots = _tables(layout)
+    rows = NUM_ITEMS * pose + held
+    state = sum(jnp.asarray(table)[row] for table, row in zip(agents, rows, strict=True))
+    for table, cell in zip(pots, read(layout).pots, strict=True):
+        state += jnp.asarray(table)[grid[cell] - POT]
+    return state.astype(jnp.float32)
+
+
+@lru_cache
+def _tables(layout: str) -> tuple[np.ndarray, np.ndarray]:
+    """Compute what each agent adds, by pose and item, and each pot, by its state."""
+    kitchen, width = read(layout), state_dim(layout)
+    agents = np.zeros((2, 4 * len(kitchen.grid), NUM_ITEMS, width), np.int8)
+    pots = np.zeros((len(kitchen.pots), NUM_CELL_STATES - POT, width), np.int8)
+    for agent, table in enumerate(agents):
+        own = table[..., AGENT_NUMBERS * agent :]
+        for cell in np.flatnonzero(kitchen.grid == FLOOR).tolist():
+            for turn in range(4):
+                own[4 * cell + turn, :, turn] = 1
+            own[4 * cell : 4 * cell + 4, :, 7:9] = kitchen.xy(cell)
+        own[:, ONION, 4] = own[:, DISH, 5] = own[:, SOUP + 1 :, 6] = 1
+    for pot, table in enumerate(pots):
+        begin = 2 * AGENT_NUMBERS + POT_NUMBERS * pot
+        for state, row in enumerate(table):
+            row[begin : begin + POT_NUMBERS] = _pot_numbers(state)
+    return agents.reshape(2, -1, width), pots
+
+
+def _pot_numbers(state: int) -> tuple[int, ...]:
+    """Return the numbers of a pot by its state, counted from that of an empty pot."""
+    onions, cooked = read_pot(POT + state)
+    is_cooking = IDLE < cooked < READY
+    remaining = READY - cooked if is_cooking else 0
+    return onions, onions == CAPACITY, is_cooking, cooked == READY, remaining
