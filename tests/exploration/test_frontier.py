@@ -11,7 +11,6 @@ import envs_jax
 from hmasd_jax.exploration.bonus import NO_BONUS
 from hmasd_jax.exploration.frontier import (
     FrontierConfig,
-    count_rewarded,
     explore,
     find_bins,
     first_visits,
@@ -117,16 +116,7 @@ def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, e
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 
 
-def test_an_episode_counts_as_rewarded_once_and_across_rollouts():
-    reward = jnp.array([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 2.0]])
-    done = jnp.array([[False, True, True], [True, False, False], [False, False, False]])
-    # The second copy's first episode was rewarded in the rollout before; the third's second is now.
-    rewarded, ended = count_rewarded(jnp.array([False, True, False]), reward, done)
-    assert ended == 2
-    assert_array_equal(rewarded, [False, False, True])
-
-
-def test_the_bonus_is_scaled_by_the_share_of_recent_episodes_without_reward(bonus, empty):
+def test_the_bonus_fades_with_the_share_of_recent_episodes_that_reward_ended(bonus, empty):
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     wins = outcome._replace(reward=outcome.reward.at[1, :3].set(1.0))
     _, without = train(bonus, empty, outcome)
@@ -134,6 +124,23 @@ def test_the_bonus_is_scaled_by_the_share_of_recent_episodes_without_reward(bonu
     # Three of the four episodes, beside 0.9 x 4 that count as recent at the start.
     assert_allclose(frontier.successes / frontier.episodes, 3 / 7.6, rtol=1e-6)
     assert_allclose(reward, (1 - 3 / 7.6) * without, rtol=1e-5)
+
+
+def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_return(bonus, empty):
+    outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
+    _, without = train(bonus, empty, outcome)
+    in_time = outcome._replace(
+        terminated=jnp.zeros_like(outcome.terminated), truncated=outcome.terminated
+    )
+    paid = in_time._replace(reward=outcome.reward.at[:].set(20.0))
+    frontier, reward = train(bonus, empty, paid)
+    assert frontier.successes == 0
+    # Eight rewards in four episodes, beside 0.9 x 4 that count as recent and got nothing.
+    assert_allclose(frontier.best_return, 8 * 20 / 7.6, rtol=1e-6)
+    assert_allclose(reward, 8 * 20 / 7.6 * without, rtol=1e-5)
+    later, _ = train(bonus, frontier, in_time, times=30)
+    assert later.returns < 0.1 * frontier.returns
+    assert later.best_return == frontier.best_return
 
 
 def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):

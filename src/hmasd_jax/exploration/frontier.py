@@ -18,8 +18,10 @@ the team has lost leads back to the frontier.
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
-The bonus is multiplied by the share of recent episodes without any reward. A team that is rewarded
-in every episode learns from reward alone.
+The bonus is multiplied by the share of recent episodes that no reward ended. A team that wins every
+episode learns from reward alone. Where rewards end no episode, as soups do not, a team that has
+found one way to earn goes on looking for others. So that earnings do not drown the bonus, it grows
+with the largest mean return of an episode so far.
 """
 
 from dataclasses import dataclass
@@ -42,8 +44,8 @@ class FrontierConfig:
     """Settings of the bonus."""
 
     coef: float = 0.0
-    """Weight of the bonus in the reward, in standard deviations of all bonuses so far. With 0 there
-    is none."""
+    """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far
+    times the largest mean return of an episode so far, at least 1. With 0 there is none."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
     largest_worth: float = 100.0
@@ -78,9 +80,11 @@ class Frontier(NamedTuple):
     before: Float[Array, "E state"]
     """State before the next step, or the last of the episode before if one begins."""
     successes: Float[Array, ""]
-    """Number of recent episodes that got a reward."""
-    rewarded: Bool[Array, " E"]
-    """Whether the episode under way has got one."""
+    """Number of recent episodes that ended with a reward before the time limit."""
+    returns: Float[Array, ""]
+    """Sum of the rewards of recent rollouts."""
+    best_return: Float[Array, ""]
+    """Largest mean return of an episode so far, at least 1."""
     bonuses: Moments
     """Moments of the bonuses so far, which give the bonus its unit."""
 
@@ -102,7 +106,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             visited=jnp.zeros((num_envs, *bins), bool),
             before=jnp.zeros((num_envs, env.state_dim)),
             successes=jnp.float32(0),
-            rewarded=jnp.zeros(num_envs, bool),
+            returns=jnp.float32(0),
+            best_return=jnp.float32(1),
             bonuses=Moments.create(),
         )
 
@@ -114,7 +119,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         bonus = jnp.where(is_first, worth, 0.0).sum((-2, -1))
         seen = moments.update(frontier.bonuses, bonus)
         failures = 1.0 - frontier.successes / frontier.episodes
-        reward = failures * config.coef * (bonus - bonus.mean()) / jnp.sqrt(seen.variance + 1e-6)
+        unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
+        reward = failures * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
     return Bonus(init, update)
@@ -140,10 +146,12 @@ def explore(
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
-    rewarded, successes = count_rewarded(frontier.rewarded, outcome.reward, outcome.done)
+    successes = (outcome.terminated & (outcome.reward > 0)).sum()
     keep = 1.0 - 1.0 / config.window
     reached = frontier.reached * keep + is_first.sum((0, 1))
     episodes = frontier.episodes * keep + outcome.done.sum()
+    returns = frontier.returns * keep + outcome.reward.sum()
+    best_return = jnp.maximum(frontier.best_return, returns / jnp.maximum(episodes, 1.0))
     share = jnp.minimum(reached / jnp.maximum(episodes, 1.0), 1.0)
     frontier = frontier._replace(
         reached=reached,
@@ -152,7 +160,8 @@ def explore(
         visited=visited,
         before=states[-1],
         successes=frontier.successes * keep + successes,
-        rewarded=rewarded,
+        returns=returns,
+        best_return=best_return,
     )
     return frontier, is_first
 
@@ -175,20 +184,6 @@ def first_visits(
         return (visited | here) & ~done[:, None, None], here & ~visited
 
     return jax.lax.scan(step, visited, ((low <= bins) & (bins <= high), done))
-
-
-def count_rewarded(
-    rewarded: Bool[Array, " E"], reward: Float[Array, "T E"], done: Bool[Array, "T E"]
-) -> tuple[Bool[Array, " E"], Int[Array, ""]]:
-    """Return which episodes under way have got a reward, and how many that ended had got one."""
-
-    def step(rewarded, x):
-        reward, done = x
-        rewarded = rewarded | (reward > 0)
-        return rewarded & ~done, (rewarded & done).sum()
-
-    rewarded, ended = jax.lax.scan(step, rewarded, (reward, done))
-    return rewarded, ended.sum()
 
 
 def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
