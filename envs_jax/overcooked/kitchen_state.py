@@ -53,8 +53,8 @@ def encode(
         grid: State of each cell.
     """
     agents, pots = _tables(layout)
-    rows = NUM_ITEMS * pose + held
-    state = sum(jnp.asarray(table)[row] for table, row in zip(agents, rows, strict=True))
+    first, second = NUM_ITEMS * pose + held
+    state = jnp.asarray(agents[0])[first] + jnp.asarray(agents[1])[second]
     for table, cell in zip(pots, read(layout).pots, strict=True):
         state += jnp.asarray(table)[grid[cell] - POT]
     return state.astype(jnp.float32)
