@@ -129,7 +129,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Bool[Array, "T E state bins"]]:
-    """Count the episodes of a rollout that reach each bin, and those that get a reward.
+    """Count the episodes of a rollout that reach each bin, those that a reward ended, and rewards.
 
     Args:
         frontier: state before the rollout.
