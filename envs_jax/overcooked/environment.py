@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from envs_jax.choices import check_choice, check_whole, show
 from envs_jax.overcooked import features, kitchen_state, layouts, lossless
@@ -147,17 +147,16 @@ class Overcooked:
         # coin is one bit of the key, which is random already, and obs is encoded only once.
         swapped = (jax.random.key_data(key)[-1] & 1).astype(bool)
         env_state = env_state._replace(swapped=swapped)
-        obs = jnp.where(swapped, timestep.obs[::-1], timestep.obs)
-        if self.state == "kitchen" or self.observation == "features":
-            timestep = timestep._replace(state=self._global_state(env_state, obs))
-        return env_state, timestep._replace(obs=obs)
+        obs = _reorder(timestep.obs, swapped)
+        state = self._global_state(env_state, obs)
+        return env_state, timestep._replace(obs=obs, state=state)
 
     def step(
         self, key: jax.Array, env_state: OvercookedState, action: Int[Array, " agents"]
     ) -> tuple[OvercookedState, TimeStep]:
         """Advance one step: interact, move, cook. `key` is not used."""
         del key
-        action = jnp.where(env_state.swapped, action[::-1], action).astype(jnp.int32)
+        action = _reorder(action, env_state.swapped).astype(jnp.int32)
         grid, held, soups = self._interact(env_state, action == INTERACT)
         env_state = OvercookedState(
             pose=_move(self.kitchen, env_state.pose, action),
@@ -213,7 +212,7 @@ class Overcooked:
             return features.observe(self.layout, *_by_agent(state), state.grid)
         urgent = self.max_steps - state.time < lossless.URGENT_STEPS
         by_player = lossless.observe(self.kitchen, *state[:3], urgent)
-        return jnp.where(state.swapped, by_player[::-1], by_player)
+        return _reorder(by_player, state.swapped)
 
     def _global_state(
         self, state: OvercookedState, obs: Float[Array, "agents obs"]
@@ -222,25 +221,24 @@ class Overcooked:
             return kitchen_state.encode(self.layout, *_by_agent(state), state.grid)
         if self.observation == "features":
             return obs.reshape(-1)
-        player_0 = jnp.where(state.swapped, obs[1], obs[0])
-        return jnp.append(player_0, state.time / self.max_steps)
+        by_player = _reorder(obs, state.swapped)
+        return jnp.append(by_player[0], state.time / self.max_steps)
 
     def events(
         self, before: OvercookedState, action: Int[Array, " agents"], after: OvercookedState
     ) -> dict[str, Float[Array, " agents"]]:
         """Count what each agent took, put down, cooked and served."""
         swapped = before.swapped
-        by_player = jnp.where(swapped, action[::-1], action)
+        by_player = _reorder(action, swapped)
         front = jnp.asarray(self.kitchen.front)[before.pose]
         interacts = by_player == INTERACT
         counts = count_uses(before.grid[front], after.grid[front], before.held, after.held)
         counts = {name: (count & interacts).astype(jnp.float32) for name, count in counts.items()}
-        return {name: jnp.where(swapped, count[::-1], count) for name, count in counts.items()}
+        return {name: _reorder(count, swapped) for name, count in counts.items()}
 
     def locate(self, env_state: OvercookedState) -> Float[Array, "agents 2"]:
         """Return the center of each agent's cell in the picture."""
-        cell = env_state.pose // 4
-        cell = jnp.where(env_state.swapped, cell[::-1], cell)
+        cell = _reorder(env_state.pose, env_state.swapped) // 4
         width = self.kitchen.width
         return (jnp.stack([cell % width, cell // width], axis=-1) + 0.5) * SIDE
 
@@ -251,8 +249,12 @@ class Overcooked:
 
 def _by_agent(state: OvercookedState) -> tuple[Int[Array, "2"], Int[Array, "2"]]:
     """Return the pose and the item of each agent's cook."""
-    pose, held = (jnp.where(state.swapped, x[::-1], x) for x in (state.pose, state.held))
-    return pose, held
+    return _reorder(state.pose, state.swapped), _reorder(state.held, state.swapped)
+
+
+def _reorder(values: Shaped[Array, "2 *rest"], swapped: Bool[Array, ""]):
+    """Bring values of each player into the order of the agents, or the other way around."""
+    return jnp.where(swapped, values[::-1], values)
 
 
 def _move(kitchen: Kitchen, pose: Int[Array, "2"], action: Int[Array, "2"]) -> Int[Array, "2"]:

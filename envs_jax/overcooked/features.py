@@ -36,8 +36,8 @@ from envs_jax.overcooked.rules import (
     DISHES,
     FLOOR,
     IDLE,
-    NUM_CELL_STATES,
     NUM_ITEMS,
+    NUM_POT_STATES,
     ONION,
     ONIONS,
     POT,
@@ -45,6 +45,7 @@ from envs_jax.overcooked.rules import (
     SERVING,
     SOUP,
     read_pot,
+    steps_until_ready,
 )
 
 COOK_FEATURES = 46
@@ -52,7 +53,6 @@ OBS_DIM = 2 * COOK_FEATURES + 4
 HELD, TO_ONIONS, TO_DISHES, SOUP_ONIONS, TO_SERVING, FIRST_POT, WALLS = 4, 8, 12, 16, 18, 22, 42
 """First index of these groups among the 46 features."""
 POTS_SEEN, POT_FEATURES, TO_POT = 2, 10, 8
-NUM_POT_STATES = NUM_CELL_STATES - POT
 HELD_ORDER = {ONION: 0, SOUP + 1: 1, SOUP + 2: 1, SOUP + 3: 1, DISH: 2}
 OWN, OTHER, TO_OTHER, XY = slice(0, 46), slice(46, 92), slice(92, 94), slice(94, 96)
 
@@ -142,10 +142,9 @@ def _pot_features() -> np.ndarray:
     features = np.zeros((NUM_POT_STATES, POT_FEATURES), np.int8)
     for state in range(NUM_POT_STATES):
         onions, cooked = read_pot(POT + state)
-        is_cooking = IDLE < cooked < READY
+        remaining = steps_until_ready(cooked)
         is_full = onions == CAPACITY or cooked != IDLE
-        remaining = READY - cooked if is_cooking else 0
-        flags = (onions == 0, is_full, is_cooking, cooked == READY)
+        flags = (onions == 0, is_full, remaining > 0, cooked == READY)
         features[state, 1:TO_POT] = (*flags, onions, 0, remaining)
     return features
 

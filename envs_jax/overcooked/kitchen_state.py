@@ -19,15 +19,14 @@ from envs_jax.overcooked.layouts import read
 from envs_jax.overcooked.rules import (
     CAPACITY,
     DISH,
-    FLOOR,
-    IDLE,
-    NUM_CELL_STATES,
     NUM_ITEMS,
+    NUM_POT_STATES,
     ONION,
     POT,
     READY,
     SOUP,
     read_pot,
+    steps_until_ready,
 )
 
 AGENT_NUMBERS, POT_NUMBERS = 9, 5
@@ -65,24 +64,21 @@ def _tables(layout: str) -> tuple[np.ndarray, np.ndarray]:
     """Compute what each agent adds, by pose and item, and each pot, by its state."""
     kitchen, width = read(layout), state_dim(layout)
     agents = np.zeros((2, 4 * len(kitchen.grid), NUM_ITEMS, width), np.int8)
-    pots = np.zeros((len(kitchen.pots), NUM_CELL_STATES - POT, width), np.int8)
+    pots = np.zeros((len(kitchen.pots), NUM_POT_STATES, width), np.int8)
+    cell, orientation = np.divmod(np.arange(4 * len(kitchen.grid)), 4)
     for agent, table in enumerate(agents):
         own = table[..., AGENT_NUMBERS * agent :]
-        for cell in np.flatnonzero(kitchen.grid == FLOOR).tolist():
-            for turn in range(4):
-                own[4 * cell + turn, :, turn] = 1
-            own[4 * cell : 4 * cell + 4, :, 7:9] = kitchen.xy(cell)
+        own[..., :4] = (orientation[:, None] == np.arange(4))[:, None]
         own[:, ONION, 4] = own[:, DISH, 5] = own[:, SOUP + 1 :, 6] = 1
+        own[..., 7:9] = kitchen.xy(cell).T[:, None]
     for pot, table in enumerate(pots):
         begin = 2 * AGENT_NUMBERS + POT_NUMBERS * pot
-        for state, row in enumerate(table):
-            row[begin : begin + POT_NUMBERS] = _pot_numbers(state)
+        table[:, begin : begin + POT_NUMBERS] = [_pot_numbers(s) for s in range(NUM_POT_STATES)]
     return agents.reshape(2, -1, width), pots
 
 
 def _pot_numbers(state: int) -> tuple[int, ...]:
     """Return the numbers of a pot by its state, counted from that of an empty pot."""
     onions, cooked = read_pot(POT + state)
-    is_cooking = IDLE < cooked < READY
-    remaining = READY - cooked if is_cooking else 0
-    return onions, onions == CAPACITY, is_cooking, cooked == READY, remaining
+    remaining = steps_until_ready(cooked)
+    return onions, onions == CAPACITY, remaining > 0, cooked == READY, remaining

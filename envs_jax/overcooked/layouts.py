@@ -84,8 +84,8 @@ class Kitchen(NamedTuple):
         """Cells that are pots, in ascending order."""
         return np.flatnonzero(self.grid == POT)
 
-    def xy(self, cell: int) -> np.ndarray:
-        """Return the coordinates of a cell, (2,): x to the right and y down."""
+    def xy(self, cell: int | np.ndarray) -> np.ndarray:
+        """Return the coordinates of a cell, (2,), or of cells, (2, cells): x right and y down."""
         return np.array([cell % self.width, cell // self.width])
 
 

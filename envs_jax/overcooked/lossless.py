@@ -35,6 +35,7 @@ from envs_jax.overcooked.rules import (
     SERVING,
     SOUP,
     read_pot,
+    steps_until_ready,
 )
 
 CHANNELS = 26
@@ -73,7 +74,7 @@ def _channels() -> np.ndarray:
         onions, cooked = read_pot(state)
         channels[state, IS_POT] = 1
         channels[state, POT_ONIONS if cooked == IDLE else SOUP_ONIONS] = onions
-        channels[state, REMAINING] = 0 if cooked == IDLE else READY - cooked
+        channels[state, REMAINING] = steps_until_ready(cooked)
         channels[state, IS_READY] = cooked == READY
     urgent = channels.copy()
     urgent[:, IS_URGENT] = 1

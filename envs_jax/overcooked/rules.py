@@ -31,6 +31,7 @@ POT = COUNTER + NUM_ITEMS
 """State of an empty pot. `pot_state` numbers the other states of a pot."""
 COOKING = POT + CAPACITY + 1
 NUM_CELL_STATES = COOKING + CAPACITY * (READY + 1)
+NUM_POT_STATES = NUM_CELL_STATES - POT
 
 
 def pot_state(onions: int, cooked: int) -> int:
@@ -43,6 +44,11 @@ def read_pot(state: int) -> tuple[int, int]:
     if state < COOKING:
         return state - POT, IDLE
     return (state - COOKING) % CAPACITY + 1, (state - COOKING) // CAPACITY
+
+
+def steps_until_ready(cooked: int) -> int:
+    """Return how long a pot still cooks: 0 before it starts and when the soup is ready."""
+    return 0 if cooked == IDLE else READY - cooked
 
 
 def cook(grid: Int[Array, " cells"], start: StartCooking) -> Int[Array, " cells"]:

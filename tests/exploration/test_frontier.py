@@ -132,7 +132,7 @@ def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_re
     in_time = outcome._replace(
         terminated=jnp.zeros_like(outcome.terminated), truncated=outcome.terminated
     )
-    paid = in_time._replace(reward=outcome.reward.at[:].set(20.0))
+    paid = in_time._replace(reward=jnp.full_like(outcome.reward, 20.0))
     frontier, reward = train(bonus, empty, paid)
     assert frontier.successes == 0
     # Eight rewards in four episodes, beside 0.9 x 4 that count as recent and got nothing.

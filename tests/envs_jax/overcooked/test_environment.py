@@ -274,13 +274,12 @@ def test_urgency_shows_when_fewer_than_40_steps_are_left():
 
 
 @pytest.mark.parametrize(
-    ("observation", "state"), [("features", "obs"), ("lossless", "obs"), ("features", "kitchen")]
+    ("observation", "state", "agents_end"),
+    [("features", "obs", [96, 192]), ("lossless", "obs", [0, 0]), ("features", "kitchen", [9, 18])],
 )
-def test_swapped_seats_permute_agents_and_nothing_else(observation, state):
+def test_swapped_seats_permute_agents_and_nothing_else(observation, state, agents_end):
+    """`agents_end`: where the numbers of agent 0 and of agent 1 end in the state."""
     env = Overcooked("asymmetric_advantages", observation=observation, state=state)
-    # Where the numbers of agent 0 and of agent 1 end in the state.
-    blocks = {("features", "obs"): [96, 192], ("lossless", "obs"): [0, 0]}
-    agent_blocks = blocks.get((observation, state), [9, 18])
     reset, step = jax.jit(env.reset), jax.jit(env.step)
     starts = [reset(jax.random.key(seed)) for seed in range(8)]
     (plain, seen), (swapped, seen_swapped) = (
@@ -288,7 +287,7 @@ def test_swapped_seats_permute_agents_and_nothing_else(observation, state):
     )
     for actions in ((EAST, SOUTH), (WEST, INTERACT), (INTERACT, NORTH), (INTERACT, INTERACT)):
         np.testing.assert_array_equal(seen.obs, seen_swapped.obs[::-1])
-        first, second, rest = np.split(seen.state, agent_blocks)
+        first, second, rest = np.split(seen.state, agents_end)
         np.testing.assert_array_equal(np.r_[second, first, rest], seen_swapped.state)
         plain, seen = step(KEY, plain, jnp.array(actions))
         swapped, seen_swapped = step(KEY, swapped, jnp.array(actions[::-1]))
