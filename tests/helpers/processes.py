@@ -27,7 +27,15 @@ def latest(run, seed):
 def children_of(process):
     """List the workers of a sweep."""
     pids = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-    return [int(p) for p in pids if "spawn_main" in Path(f"/proc/{p}/cmdline").read_text()]
+    return [int(pid) for pid in pids if "spawn_main" in command_of(pid)]
+
+
+def command_of(pid):
+    """Return the command line of a process, or nothing if it has ended meanwhile."""
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text()
+    except (FileNotFoundError, ProcessLookupError):
+        return ""
 
 
 def assert_same_state(one, other):
