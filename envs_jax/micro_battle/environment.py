@@ -1,24 +1,24 @@
 """Unit micro-battles: a substitute for SMAC's 3m, 2s_vs_1sc and 2m_vs_1z with 0-1 reward.
 
 Each agent commands one unit against enemies that follow a fixed rule. The team receives a reward of
-1 once, when the last enemy dies while one of the agents' units lives. Units, walls, starts,
-actions, masks and observations follow SMAC and StarCraft II's data files. The game itself was never
-run. docs/environments/micro_battle.md states what is modeled and what is not.
+1 once, when the last enemy dies while one of the agents' units lives, or another reward of
+`rewards.py`. Units, walls, starts, actions, masks and observations follow SMAC and StarCraft II's
+data files. The game itself was never run. docs/environments/micro_battle.md states what is modeled
+and what is not.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.custom_batching import custom_vmap
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax.choices import check_choice, check_whole, show, suggest
 from envs_jax.micro_battle.constants import column, unit_constants
+from envs_jax.micro_battle.copies import copies_last
 from envs_jax.micro_battle.events import count
 from envs_jax.micro_battle.observations import (
     DIRECTIONS,
@@ -33,6 +33,7 @@ from envs_jax.micro_battle.observations import (
 )
 from envs_jax.micro_battle.physics import LONG_AGO, NOBODY, Orders, Units, tick
 from envs_jax.micro_battle.render import ALLIES, CELL, bounds, draw, surround
+from envs_jax.micro_battle.rewards import Reward, team_reward, won
 from envs_jax.micro_battle.scenarios import SCENARIOS, Scenario
 from envs_jax.micro_battle.unit_types import Balance
 from envs_jax.types import TimeStep
@@ -62,8 +63,8 @@ class MicroBattle:
     east (+x), west, and 6 + j attack enemy j. An illegal action acts as stop.
 
     Raises:
-        ValueError: The scenario, the balance or a format is unknown, or `time_limit` is not a
-            positive whole number.
+        ValueError: The scenario, the balance, a format or the reward is unknown, or `time_limit` is
+            not a positive whole number.
     """
 
     scenario: str | Scenario = "3m"
@@ -80,6 +81,9 @@ class MicroBattle:
     combine observations of `mappo` with the state of `smac`."""
     time_limit: int | None = None
     """Time limit of an episode in environment steps; None takes that of the scenario."""
+    reward: Reward = "win"
+    """Reward of the team: `win` for 1 per battle won, `kills` for deaths and the battle, as in
+    MASER's fork of SMAC, `damage` for damage, deaths and the battle, as in SMAC."""
 
     cell_pixels: ClassVar[int] = CELL
 
@@ -94,6 +98,7 @@ class MicroBattle:
         check_choice("observation", self.observation, Format)
         if self.state is not None:
             check_choice("state", self.state, Format)
+        check_choice("reward", self.reward, Reward)
         if self.time_limit is not None:
             check_whole("time_limit", self.time_limit)
 
@@ -143,14 +148,14 @@ class MicroBattle:
         """Start an episode with all units within the scenario's `jitter` of their positions."""
         num_units = self.num_agents + len(self.resolved_scenario.enemies)
         # Draw one word per unit and one for the goal. Half a word is enough for a coordinate.
-        return _copies_last(self._begin)(jax.random.bits(key, (num_units + 1,)))
+        return copies_last(self._begin)(jax.random.bits(key, (num_units + 1,)))
 
     def step(
         self, key: jax.Array, env_state: MicroBattleState, action: Int[Array, " agents"]
     ) -> tuple[MicroBattleState, TimeStep]:
         """Carry out the agents' actions for half a second of game time."""
         luck = jax.random.uniform(key, env_state.units.x.shape)
-        return _copies_last(self._advance)(env_state, action, luck)
+        return copies_last(self._advance)(env_state, action, luck)
 
     def _begin(self, bits: Array) -> tuple[MicroBattleState, TimeStep]:
         """Implement `reset` for random words, with copies last."""
@@ -182,7 +187,7 @@ class MicroBattle:
             last_action=nobody[: self.num_agents],
             time=jnp.zeros(copies, jnp.int32),
         )
-        return state, self._timestep(state, jnp.zeros(copies, bool))
+        return state, self._timestep(state, jnp.zeros(copies))
 
     def _advance(
         self,
@@ -209,7 +214,8 @@ class MicroBattle:
         after = MicroBattleState(
             units=units, goal=state.goal, last_action=action.astype(jnp.int32), time=state.time + 1
         )
-        return after, self._timestep(after, self._won(state.units))
+        reward = team_reward(self.reward, state.units, units, constants, self.num_agents)
+        return after, self._timestep(after, reward)
 
     def _read_orders(
         self, mask: Bool[Array, "agents actions *copies"], action: Int[Array, "agents *copies"]
@@ -229,29 +235,24 @@ class MicroBattle:
             toward_y=jnp.concatenate([toward_y, enemies]),
         )
 
-    def _won(self, units: Units) -> Bool[Array, "*copies"]:
-        alive = units.health > 0
-        return alive[: self.num_agents].any(0) & ~alive[self.num_agents :].any(0)
-
-    def _timestep(self, state: MicroBattleState, won_before: Bool[Array, "*copies"]) -> TimeStep:
+    def _timestep(self, state: MicroBattleState, reward: Float[Array, "*copies"]) -> TimeStep:
         units, last_action, scenario = state.units, state.last_action, self.resolved_scenario
         constants = unit_constants(scenario, self.balance, units.x.ndim - 1)
         mask = action_mask(scenario, units)
         alive = units.health > 0
         allies, enemies = alive[: self.num_agents], alive[self.num_agents :]
         over = ~allies.any(0) | ~enemies.any(0)
-        won = self._won(units)
         return TimeStep(
             obs=observe(scenario, self.observation, constants, units, last_action, mask),
             state=global_state(
                 scenario, self.state or self.observation, constants, units, last_action
             ),
             action_mask=mask,
-            reward=(won & ~won_before).astype(jnp.float32),
+            reward=reward,
             terminated=over,
             truncated=(state.time >= self.max_steps) & ~over,
             info={
-                "success": won.astype(jnp.float32),
+                "success": won(units, self.num_agents).astype(jnp.float32),
                 "allies_alive": allies.sum(0).astype(jnp.float32),
                 "enemies_alive": enemies.sum(0).astype(jnp.float32),
             },
@@ -286,22 +287,3 @@ class MicroBattle:
         """Draw the part of the map where units are in any of the states."""
         box = surround(self.resolved_scenario, env_states)
         return [draw(self.resolved_scenario, state, box) for state in env_states]
-
-
-@lru_cache  # Calls without jit reuse the compiled function.
-def _copies_last(function: Callable) -> Callable:
-    """Wrap `function` so that `jax.vmap` calls it with the copies axis last in all arrays."""
-    batched = custom_vmap(jax.jit(function))
-
-    @batched.def_vmap
-    def rule(size, is_batched, *args):
-        def move(x, has_copies):
-            if has_copies:
-                return jnp.moveaxis(x, 0, -1)
-            return jnp.broadcast_to(x[..., None], (*x.shape, size))
-
-        out = _copies_last(function)(*jax.tree.map(move, args, tuple(is_batched)))
-        out = jax.tree.map(lambda x: jnp.moveaxis(x, -1, 0), out)
-        return out, jax.tree.map(lambda _: True, out)
-
-    return batched
