@@ -3,8 +3,8 @@
 python scripts/frontier_shares.py RUN FEATURE OUT
 
 RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON)
-gets one row per seed and bin: the bin's ends, the largest share of episodes that has reached it so
-far, and the share over the last rollouts.
+gets one row per seed, direction and bin: the bin's ends, the largest share of episodes that has
+reached it so far, rising or falling, and the share over the last rollouts.
 """
 
 import argparse
@@ -19,21 +19,22 @@ from hmasd_jax.runs.load import load_run
 from scripts.records import describe_script, write_rows
 
 
-def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float]]:
-    """Return a row per bin of one feature of the state."""
-    ends = np.linspace(
-        float(frontier.low[feature]), float(frontier.high[feature]), frontier.reached.shape[1] + 1
-    )
-    recent = np.asarray(frontier.reached[feature]) / float(frontier.episodes)
-    largest = np.asarray(frontier.mastered[feature])
+def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]]:
+    """Return a row per direction and bin of one feature of the state."""
+    num_bins = frontier.reached.shape[-1]
+    ends = np.linspace(float(frontier.low[feature]), float(frontier.high[feature]), num_bins + 1)
+    recent = np.asarray(frontier.reached[:, feature]) / float(frontier.episodes)
+    largest = np.asarray(frontier.mastered[:, feature])
     return [
         {
-            "from": round(float(low), 4),
-            "to": round(float(high), 4),
-            "largest_share": round(float(most), 4),
-            "recent_share": round(float(now), 4),
+            "direction": direction,
+            "from": round(float(ends[i]), 4),
+            "to": round(float(ends[i + 1]), 4),
+            "largest_share": round(float(largest[row, i]), 4),
+            "recent_share": round(float(recent[row, i]), 4),
         }
-        for low, high, most, now in zip(ends, ends[1:], largest, recent)
+        for row, direction in enumerate(("rising", "falling"))
+        for i in range(num_bins)
     ]
 
 

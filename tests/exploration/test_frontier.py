@@ -50,18 +50,32 @@ def train(bonus, frontier, outcome, times=1):
     return frontier, reward
 
 
+RISES, FALLS = 0, 1
+
+
+def visits(start, end, done, num_bins):
+    """Return `first_visits` of one feature in one copy."""
+    start, end, done = (jnp.array(x)[:, None] for x in (start, end, done))
+    none = jnp.zeros((1, 2, 1, num_bins), bool)
+    visited, is_first = first_visits(none, start[..., None], end[..., None], done)
+    return visited[0, :, 0], is_first[:, 0, :, 0]
+
+
 def test_only_the_first_visit_of_an_episode_counts():
-    bins = jnp.array([0, 1, 0, 1, 2])[:, None, None]
-    done = jnp.array([False, False, True, False, False])[:, None]
-    visited, is_first = first_visits(jnp.zeros((1, 1, 4), bool), bins, bins, done)
-    assert_array_equal(is_first[:, 0, 0].any(-1), [True, True, False, True, True])
-    assert_array_equal(visited[0, 0], [False, True, True, False])
+    start, end = [0, 1, 0, 1, 0], [1, 0, 1, 0, 1]
+    visited, is_first = visits(start, end, [False, False, False, True, False], 4)
+    assert_array_equal(is_first[:, RISES, 1], [True, False, False, False, True])
+    assert_array_equal(is_first[:, FALLS, 0], [False, True, False, False, False])
+    assert_array_equal(is_first.sum((0, 2)), [2, 1])
+    assert_array_equal(visited, [[0, 1, 0, 0], [0, 0, 0, 0]])
 
 
-def test_a_step_visits_the_bins_that_it_passes():
-    start, end = (jnp.array(x)[:, None, None] for x in ([0, 0, 3], [0, 3, 1]))
-    _, is_first = first_visits(jnp.zeros((1, 1, 5), bool), start, end, jnp.zeros((3, 1), bool))
-    assert_array_equal(is_first[:, 0, 0], [[1, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0]])
+def test_a_step_reaches_where_it_ends_and_all_that_it_passes():
+    _, is_first = visits([0, 0, 3, 3, 1], [0, 3, 1, 1, 0], [False] * 5, 5)
+    rising = [[0, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0], [0] * 5, [0] * 5]
+    falling = [[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 1, 1, 0, 0], [0] * 5, [1, 0, 0, 0, 0]]
+    assert_array_equal(is_first[:, RISES], rising)
+    assert_array_equal(is_first[:, FALLS], falling)
 
 
 def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus, empty):
@@ -70,31 +84,35 @@ def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus,
     outcome = outcome._replace(terminated=outcome.terminated.at[1].set(True))
     wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 4.0))
     frontier, is_first = explore(wide, outcome, CONFIG)
-    assert_array_equal(is_first[2, 0, 0], [True, False, False, False])
+    assert not is_first[2].any()
     _, is_first = explore(frontier, rollout_of(*[[4.0]] * 4), CONFIG)
-    assert_array_equal(is_first[0, 0, 0], [False, True, True, True])
+    assert_array_equal(is_first[0, 0, RISES, 0], [False, True, True, True])
+    assert not is_first[:, :, FALLS].any()
 
 
 def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
-    frontier, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False))
-    _, reward = train(bonus, frontier, rollout_of(*[[4.0, 0.0]] * 4))
-    assert_allclose(reward, 0.0, atol=1e-6)
+    """To 4 and back; in the next rollout there again, which pays nothing."""
+    frontier, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False))
+    frontier, is_first = explore(frontier, rollout_of(*[[4.0, 0.0]] * 4), CONFIG)
+    assert not is_first.any()
+    _, is_first = explore(frontier, rollout_of(*[[0.0, 4.0]] * 4), CONFIG)
+    assert_array_equal(is_first[1, 0, RISES, 0], [False, True, True, True])
 
 
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
     frontier, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, CONFIG)
-    assert_allclose(frontier.mastered[0], [1.0, 0.25, 0.25, 0.25])
-    assert_allclose(frontier.mastered[1:, 0], 1.0)
+    assert_allclose(frontier.mastered[RISES, 0], [0.0, 0.25, 0.25, 0.25])
+    assert_allclose(frontier.mastered[FALLS], 0.0)
 
 
 def test_the_share_is_an_average_over_the_window(empty):
     outcome = rollout_of(*[[0.0, 4.0]] * 4)
     frontier, _ = explore(empty, outcome, CONFIG)
     assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
-    assert_allclose(frontier.reached[0], [4, 4, 4, 4])
-    assert_allclose(frontier.mastered[0, 0], 4 / 7.6, rtol=1e-6)
+    assert_allclose(frontier.reached[RISES, 0], [0, 4, 4, 4])
+    assert_allclose(frontier.mastered[RISES, 0, 1], 4 / 7.6, rtol=1e-6)
 
 
 def test_worth_falls_from_the_largest_to_nothing():
@@ -106,24 +124,18 @@ def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, e
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     frontier, reward = train(bonus, empty, outcome)
     worth = odds_against(frontier.mastered, CONFIG.largest_worth)
-    paid = (
-        jnp.zeros((2, 4))
-        .at[0]
-        .set(worth[0, 0] + worth[1:, 0].sum())
-        .at[1, 3]
-        .set(worth[0, 1:].sum())
-    )
+    paid = jnp.zeros((2, 4)).at[1, 3].set(worth[RISES, 0, 1:].sum())
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 
 
-def test_the_bonus_fades_with_the_share_of_recent_episodes_that_reward_ended(bonus, empty):
+def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     wins = outcome._replace(reward=outcome.reward.at[1, :3].set(1.0))
     _, without = train(bonus, empty, outcome)
     frontier, reward = train(bonus, empty, wins)
     # Three of the four episodes, beside 0.9 x 4 that count as recent at the start.
     assert_allclose(frontier.successes / frontier.episodes, 3 / 7.6, rtol=1e-6)
-    assert_allclose(reward, (1 - 3 / 7.6) * without, rtol=1e-5)
+    assert_allclose(reward, (1 - 3 / 7.6) ** NUM_ENVS * without, rtol=1e-5)
 
 
 def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_return(bonus, empty):
@@ -147,7 +159,7 @@ def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):
     wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 8.0))
     mastered, _ = train(bonus, wide, rollout_of(*[[0.0, 4.0]] * 4), times=60)
     left, _ = train(bonus, mastered, rollout_of(*[[0.0, 0.0]] * 4), times=60)
-    assert left.reached[0, 2] < 0.1
+    assert left.reached[RISES, 0, 2] < 0.1
     _, back = train(bonus, left, rollout_of([0.0, 4.0], *[[0.0, 6.0]] * 3))
     assert_allclose(back[1, 0], back[0, 0], atol=0.01)
     assert (back[1, 1:] > back[1, 0] + 0.1).all()
@@ -159,8 +171,8 @@ def test_what_was_mastered_and_lost_pays_again_later(empty):
     shares = []
     for values in ([0.0, 4.0], [0.0, 0.0], [0.0, 0.0]):
         empty, _ = explore(empty, rollout_of(*[values] * 4), forgetful)
-        shares.append(empty.mastered[0, [0, 3]])
-    assert_allclose(shares, [[1, 1], [1, 0.9], [1, 0.81]], rtol=1e-6)
+        shares.append(empty.mastered[RISES, 0, 3])
+    assert_allclose(shares, [1, 0.9, 0.81], rtol=1e-6)
 
 
 def test_a_wider_range_moves_what_is_known_to_the_bin_of_the_old_middle(empty):
@@ -168,12 +180,13 @@ def test_a_wider_range_moves_what_is_known_to_the_bin_of_the_old_middle(empty):
     known = empty._replace(
         low=jnp.zeros(SIZE),
         high=jnp.full(SIZE, 4.0),
-        reached=jnp.tile(jnp.array([2.0, 1, 0, 2]), (SIZE, 1)),
-        mastered=jnp.tile(jnp.array([0.5, 0.25, 0, 0.125]), (SIZE, 1)),
+        reached=jnp.tile(jnp.array([2.0, 1, 0, 2]), (2, SIZE, 1)),
+        mastered=jnp.tile(jnp.array([0.5, 0.25, 0, 0.125]), (2, SIZE, 1)),
     )
     wider = widen(known, jnp.zeros(SIZE), jnp.full(SIZE, 8.0))
-    assert_allclose(wider.reached[0], [3, 2, 0, 0])
-    assert_allclose(wider.mastered[0], [0.5, 0.125, 0, 0])
+    for direction in (RISES, FALLS):
+        assert_allclose(wider.reached[direction, 0], [3, 2, 0, 0])
+        assert_allclose(wider.mastered[direction, 0], [0.5, 0.125, 0, 0])
     assert_array_equal(find_bins(wider, jnp.full(SIZE, 3.9)), 1)
 
 

@@ -3,11 +3,12 @@
 An episode is paid when a feature of the state reaches a value for the first time in it: an enemy
 with less health than before, a pot with a third onion, a diamond that is gone. A value is reached
 when it is taken or passed. By what steps an agent loses its own health is chance, and would pay if
-each value had to be hit. Each feature is counted by itself, the coarsest of the projections of the
-state that CMAE counts in (Liu et al., ICML 2021). Whole states are all new, and the prediction
-error of a network on them is dominated by features that always vary. Paying only first visits of
-an episode is the restriction of NovelD (Zhang et al., NeurIPS 2021). Without it, waiting in a rare
-state pays.
+each value had to be hit. Rising to a value and falling to it are counted apart: a shield that
+recharges is not a shield that is lost. Each feature is counted by itself, the coarsest of the
+projections of the state that CMAE counts in (Liu et al., ICML 2021). Whole states are all new, and
+the prediction error of a network on them is dominated by features that always vary. Paying only
+first visits of an episode is the restriction of NovelD (Zhang et al., NeurIPS 2021). Without it,
+waiting in a rare state pays.
 
 A value that a share p of the episodes reaches is worth 1 / p - 1, the odds against it. Here p is
 the largest share so far, measured over recent rollouts: what the team has mastered pays nothing, so
@@ -18,10 +19,10 @@ the team has lost leads back to the frontier.
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
-The bonus is multiplied by the share of recent episodes that no reward ended. A team that wins every
-episode learns from reward alone. Where rewards end no episode, as soups do not, a team that has
-found one way to earn goes on looking for others. So that earnings do not drown the bonus, it grows
-with the largest mean return of an episode so far.
+The bonus is multiplied by the chance that rewards end no episode of a batch, one per copy of the
+environment. A team that has found out how to win learns from reward alone. Where rewards end no
+episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
+earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
 """
 
 from dataclasses import dataclass
@@ -69,16 +70,18 @@ class Frontier(NamedTuple):
     """Smallest value of each feature so far."""
     high: Float[Array, " state"]
     """Largest value of each feature so far."""
-    reached: Float[Array, "state bins"]
-    """Number of recent episodes that reached each bin."""
+    reached: Float[Array, "2 state bins"]
+    """Number of recent episodes that reached each bin, rising and falling."""
     episodes: Float[Array, ""]
     """Number of recent episodes."""
-    mastered: Float[Array, "state bins"]
+    mastered: Float[Array, "2 state bins"]
     """Largest share of episodes so far that reached each bin, less what is forgotten."""
-    visited: Bool[Array, "E state bins"]
-    """Bins that the episode under way has visited."""
+    visited: Bool[Array, "E 2 state bins"]
+    """Bins that the episode under way has reached, rising and falling."""
     before: Float[Array, "E state"]
-    """State before the next step, or the last of the episode before if one begins."""
+    """State before the next step."""
+    begins: Bool[Array, " E"]
+    """Whether the next step is the first of an episode, so that `before` is of another one."""
     successes: Float[Array, ""]
     """Number of recent episodes that ended with a reward before the time limit."""
     returns: Float[Array, ""]
@@ -96,7 +99,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
     def init(key: Key) -> Frontier:
         del key
-        bins = (env.state_dim, config.num_bins)
+        bins = (2, env.state_dim, config.num_bins)
         return Frontier(
             low=jnp.full(env.state_dim, jnp.inf),
             high=jnp.full(env.state_dim, -jnp.inf),
@@ -105,6 +108,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
             before=jnp.zeros((num_envs, env.state_dim)),
+            begins=jnp.ones(num_envs, bool),
             successes=jnp.float32(0),
             returns=jnp.float32(0),
             best_return=jnp.float32(1),
@@ -116,11 +120,11 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         # The rollout counts too: without it, the first visits would be worth infinitely much.
         frontier, is_first = explore(frontier, outcome, config)
         worth = odds_against(frontier.mastered, config.largest_worth)
-        bonus = jnp.where(is_first, worth, 0.0).sum((-2, -1))
+        bonus = jnp.where(is_first, worth, 0.0).sum((-3, -2, -1))
         seen = moments.update(frontier.bonuses, bonus)
-        failures = 1.0 - frontier.successes / frontier.episodes
+        all_fail = (1.0 - frontier.successes / frontier.episodes) ** num_envs
         unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
-        reward = failures * config.coef * (bonus - bonus.mean()) / unit
+        reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
     return Bonus(init, update)
@@ -128,7 +132,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
-) -> tuple[Frontier, Bool[Array, "T E state bins"]]:
+) -> tuple[Frontier, Bool[Array, "T E 2 state bins"]]:
     """Count the episodes of a rollout that reach each bin, those that a reward ended, and rewards.
 
     Args:
@@ -142,7 +146,7 @@ def explore(
     states = outcome.state
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
     before = jnp.concatenate([frontier.before[None], states[:-1]])
-    begins = jnp.concatenate([~frontier.visited.any((1, 2))[None], outcome.done[:-1]])
+    begins = jnp.concatenate([frontier.begins[None], outcome.done[:-1]])
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
@@ -159,6 +163,7 @@ def explore(
         mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
         before=states[-1],
+        begins=outcome.done[-1],
         successes=frontier.successes * keep + successes,
         returns=returns,
         best_return=best_return,
@@ -167,23 +172,25 @@ def explore(
 
 
 def first_visits(
-    visited: Bool[Array, "E state bins"],
+    visited: Bool[Array, "E 2 state bins"],
     start: Int[Array, "T E state"],
     end: Int[Array, "T E state"],
     done: Bool[Array, "T E"],
-) -> tuple[Bool[Array, "E state bins"], Bool[Array, "T E state bins"]]:
-    """Return the bins that episodes under way have visited, and those that each step adds.
+) -> tuple[Bool[Array, "E 2 state bins"], Bool[Array, "T E 2 state bins"]]:
+    """Return the bins that episodes under way have reached, and those that each step adds.
 
-    A step from bin `start` to bin `end` visits both and all between.
+    A step from bin `start` to bin `end` reaches `end` and all between, rising or falling. A step
+    that stays in its bin reaches none.
     """
     bins = jnp.arange(visited.shape[-1])
-    low, high = jnp.minimum(start, end)[..., None], jnp.maximum(start, end)[..., None]
+    start, end = start[..., None], end[..., None]
+    rising, falling = (start < bins) & (bins <= end), (end <= bins) & (bins < start)
 
     def step(visited, x):
         here, done = x
-        return (visited | here) & ~done[:, None, None], here & ~visited
+        return (visited | here) & ~done[:, None, None, None], here & ~visited
 
-    return jax.lax.scan(step, visited, ((low <= bins) & (bins <= high), done))
+    return jax.lax.scan(step, visited, (jnp.stack([rising, falling], 2), done))
 
 
 def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
@@ -200,12 +207,12 @@ def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " 
     wider = frontier._replace(
         low=jnp.minimum(frontier.low, low), high=jnp.maximum(frontier.high, high)
     )
-    size, num_bins = frontier.reached.shape
+    num_bins = frontier.reached.shape[-1]
     middle = (jnp.arange(num_bins)[:, None] + 0.5) / num_bins
     # Before the first rollout there is no range, and nothing to move.
     is_new = frontier.low > frontier.high
     middles = jnp.where(is_new, low, frontier.low + middle * (frontier.high - frontier.low))
-    moved = (jnp.arange(size)[:, None], find_bins(wider, middles).T)
+    moved = (slice(None), jnp.arange(low.size)[:, None], find_bins(wider, middles).T)
     empty = jnp.zeros_like(frontier.reached)
     return wider._replace(
         reached=empty.at[moved].add(frontier.reached),
@@ -217,6 +224,6 @@ def find_bins(
     frontier: Frontier, states: Float[Array, "*batch state"]
 ) -> Int[Array, "*batch state"]:
     """Return the bin of each feature."""
-    num_bins = frontier.reached.shape[1]
+    num_bins = frontier.reached.shape[-1]
     width = jnp.maximum(frontier.high - frontier.low, 1e-6)
     return jnp.clip((states - frontier.low) / width * num_bins, 0, num_bins - 1).astype(int)
