@@ -1,13 +1,15 @@
 """Record a finished run in results/TASK/NAME.json, draw it, and rewrite docs/results.md.
 
-python scripts/record_result.py RUN results/alice_and_bob/hmasd.json
+python scripts/record_result.py RUN [RUN ...] results/alice_and_bob/hmasd.json
 python scripts/record_result.py      # only rewrites docs/results.md from the recorded files
 
-TASK is one of `TASKS`. NAME begins with the algorithm's name, or with `no` for an ablation.
+TASK is one of `TASKS`. NAME begins with the algorithm's name, or with `no` for an ablation. Several
+runs are recorded as one. They have one seed each, from the same command but for its `--seed-index`.
 """
 
 import argparse
 import json
+import re
 from itertools import pairwise
 from pathlib import Path
 from statistics import fmean
@@ -146,6 +148,36 @@ def record(run: Path) -> dict[str, Any]:
     }
 
 
+def record_together(runs: list[Path]) -> dict[str, Any]:
+    """Return one record of `runs`, whose commands differ in `--seed-index` and `--run-dir` alone.
+
+    Raises:
+        ValueError: a run cannot be recorded, or differs from the first in its command, commit or
+            evaluations.
+    """
+    first, *others = (record(run) for run in runs)
+    if not others:
+        return first
+    joined = {key: value for key, value in first.items() if key != "resumed"}
+    command = any_seed(first["command"])
+    for run, other in zip(runs[1:], others):
+        if (any_seed(other["command"]), other["commit"]) != (command, first["commit"]):
+            raise ValueError(f"{run} must have the command and the commit of {runs[0]}")
+        if other["env_steps"] != first["env_steps"]:
+            raise ValueError(
+                f"{run} was not evaluated at the steps of {runs[0]}: finish both with --resume"
+            )
+        for name in ("values", "training_means", "wall_seconds"):
+            joined[name] = joined[name] + other[name]
+    seeds = ",".join(str(seed) for run in runs for seed in run_folder.seeds_of(run))
+    return joined | {"command": f"{command} --seed-index I for I = {seeds}"}
+
+
+def any_seed(command: str) -> str:
+    """Remove the seed and the run folder from a command."""
+    return re.sub(r" --(seed-index|run-dir) \S+", "", command)
+
+
 def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:
     """Average each training metric over ten equal parts of a run; None where it has no values."""
     lines = [entry for entry in records if entry["kind"] == "train"]
@@ -222,18 +254,18 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def keep(run: Path, out: Path) -> None:
-    """Write the record of `run` to `out` and draw the images of its task.
+def keep(runs: list[Path], out: Path) -> None:
+    """Write the record of `runs` to `out` and draw the images of its task.
 
     Raises:
-        ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or the run is not
-            finished.
+        ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or a run is not
+            finished, or differs from the others.
     """
     folders = {RESULTS / name: name for name in TASKS}
     if out.parent not in folders or out.suffix != ".json":
         raise ValueError(f"OUT must be results/TASK/NAME.json with TASK one of {', '.join(TASKS)}")
     task = folders[out.parent]
-    kept = record(run)
+    kept = record_together(runs)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(kept) + "\n")
     if algorithm_of(out) == "hmasd":
@@ -242,18 +274,22 @@ def keep(run: Path, out: Path) -> None:
 
 
 def main() -> None:
-    """Record a run if one is given, then rewrite the page."""
+    """Record runs if some are given, then rewrite the page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, nargs="?", metavar="RUN", help="folder of a finished run")
     parser.add_argument(
-        "out", type=Path, nargs="?", metavar="OUT", help="results/TASK/NAME.json to write"
+        "paths",
+        type=Path,
+        nargs="*",
+        metavar="PATH",
+        help="folders of finished runs, then the file to write: results/TASK/NAME.json",
     )
-    args = parser.parse_args()
-    if args.run:
-        if not args.out:
-            parser.error("give OUT too, the file to write: results/TASK/NAME.json")
+    paths = parser.parse_args().paths
+    if len(paths) == 1:
+        parser.error("give OUT too, the file to write: results/TASK/NAME.json")
+    if paths:
+        *runs, out = paths
         try:
-            keep(args.run, args.out.resolve())
+            keep(runs, out.resolve())
         except ValueError as error:
             parser.error(str(error))
     PAGE.write_text(page())

@@ -75,7 +75,42 @@ def test_an_unfinished_run_is_not_recorded(tmp_path, run):
 
 def test_results_go_to_the_folder_of_a_task(tmp_path, run):
     with pytest.raises(ValueError, match="one of alice_and_bob, "):
-        record_result.keep(run, tmp_path / "hmasd.json")
+        record_result.keep([run], tmp_path / "hmasd.json")
+
+
+@pytest.fixture
+def seed_runs(tmp_path):
+    """Two runs of one seed each, from the same command."""
+    runs = []
+    for seed, values in enumerate([[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]):
+        runs.append(write_run(tmp_path / f"run_{seed}", [values]))
+        (runs[-1] / "seed_0").rename(runs[-1] / f"seed_{seed}")
+        command = f"python x --seed-index {seed} --seed 3 --run-dir runs/{seed}".split()
+        (runs[-1] / "run.json").write_text(json.dumps({"command": command, "commit": "abc"}))
+    return runs
+
+
+def test_runs_of_single_seeds_are_recorded_as_one(seed_runs, run):
+    kept = record_result.record_together(seed_runs)
+    assert kept["command"] == "python x --seed 3 --seed-index I for I = 0,1"
+    assert kept["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
+    assert (len(kept["training_means"]), len(kept["wall_seconds"])) == (2, 2)
+    assert record_result.record_together([run]) == record_result.record(run)
+
+
+@pytest.mark.parametrize("changed", [{"command": ["python", "y"]}, {"commit": "def"}])
+def test_runs_of_different_commands_or_commits_are_not_recorded_as_one(seed_runs, changed):
+    about = json.loads((seed_runs[1] / "run.json").read_text())
+    (seed_runs[1] / "run.json").write_text(json.dumps(about | changed))
+    with pytest.raises(ValueError, match="run_1 must have the command and the commit of"):
+        record_result.record_together(seed_runs)
+
+
+def test_runs_that_ended_at_different_steps_are_not_recorded_as_one(seed_runs):
+    metrics = seed_runs[1] / "seed_1" / "metrics.jsonl"
+    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
+    with pytest.raises(ValueError, match="run_1 was not evaluated at the steps of"):
+        record_result.record_together(seed_runs)
 
 
 def test_page_shows_what_was_recorded():
