@@ -149,7 +149,9 @@ def record(run: Path) -> dict[str, Any]:
 
 
 def record_together(runs: list[Path]) -> dict[str, Any]:
-    """Return one record of `runs`, whose commands differ in `--seed-index` and `--run-dir` alone.
+    """Return one record of `runs`, whose commands differ in what `any_seed` removes alone.
+
+    Runs that were resumed to more steps count with their last number of steps.
 
     Raises:
         ValueError: a run cannot be recorded, or differs from the first in its command, commit or
@@ -170,12 +172,14 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
         for name in ("values", "training_means", "wall_seconds"):
             joined[name] = joined[name] + other[name]
     seeds = ",".join(str(seed) for run in runs for seed in run_folder.seeds_of(run))
-    return joined | {"command": f"{command} --seed-index I for I = {seeds}"}
+    steps = first["config"]["total_env_steps"]
+    command = f"{command} --total-env-steps {steps} --seed-index I for I = {seeds}"
+    return joined | {"command": command}
 
 
 def any_seed(command: str) -> str:
-    """Remove the seed and the run folder from a command."""
-    return re.sub(r" --(seed-index|run-dir) \S+", "", command)
+    """Remove the seed, the number of steps and the run folder from a command."""
+    return re.sub(r" --(seed-index|total-env-steps|run-dir) \S+", "", command)
 
 
 def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:

@@ -85,14 +85,15 @@ def seed_runs(tmp_path):
     for seed, values in enumerate([[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]):
         runs.append(write_run(tmp_path / f"run_{seed}", [values]))
         (runs[-1] / "seed_0").rename(runs[-1] / f"seed_{seed}")
-        command = f"python x --seed-index {seed} --seed 3 --run-dir runs/{seed}".split()
+        command = f"python x --seed-index {seed} --seed 3 --total-env-steps {seed}".split()
+        (runs[-1] / "config.json").write_text(json.dumps({"total_env_steps": 8}))
         (runs[-1] / "run.json").write_text(json.dumps({"command": command, "commit": "abc"}))
     return runs
 
 
 def test_runs_of_single_seeds_are_recorded_as_one(seed_runs, run):
     kept = record_result.record_together(seed_runs)
-    assert kept["command"] == "python x --seed 3 --seed-index I for I = 0,1"
+    assert kept["command"] == ("python x --seed 3 --total-env-steps 8 --seed-index I for I = 0,1")
     assert kept["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
     assert (len(kept["training_means"]), len(kept["wall_seconds"])) == (2, 2)
     assert record_result.record_together([run]) == record_result.record(run)
