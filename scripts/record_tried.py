@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 
 from hmasd_jax.runs.folder import write_json
-from scripts.record_result import record
+from scripts.run_records import record
 
 
 def add(out: Path, runs: list[Path], changed: str) -> list[dict]:

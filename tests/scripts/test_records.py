@@ -4,7 +4,15 @@ import json
 
 import pytest
 
-from scripts import battle_tactics, random_play, record_result, record_tried, records, tactics
+from scripts import (
+    battle_tactics,
+    random_play,
+    record_result,
+    record_tried,
+    records,
+    run_records,
+    tactics,
+)
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -54,7 +62,7 @@ def test_random_play_of_alice_and_bob(monkeypatch):
 
 
 def test_record_of_a_run(run):
-    kept = record_result.record(run)
+    kept = run_records.record(run)
     assert kept["command"] == "python x"
     assert (kept["metric"], kept["env_steps"]) == ("success", STEPS)
     assert kept["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
@@ -66,11 +74,11 @@ def test_record_of_a_run(run):
 
 def test_an_unfinished_run_is_not_recorded(tmp_path, run):
     with pytest.raises(ValueError, match="must be the folder of a run"):
-        record_result.record(tmp_path)
+        run_records.record(tmp_path)
     metrics = run / "seed_1" / "metrics.jsonl"
     metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
     with pytest.raises(ValueError, match=r"seed 1 .* --resume"):
-        record_result.record(run)
+        run_records.record(run)
 
 
 def test_results_go_to_the_folder_of_a_task(tmp_path, run):
@@ -92,11 +100,11 @@ def seed_runs(tmp_path):
 
 
 def test_runs_of_single_seeds_are_recorded_as_one(seed_runs, run):
-    kept = record_result.record_together(seed_runs)
+    kept = run_records.record_together(seed_runs)
     assert kept["command"] == ("python x --seed 3 --total-env-steps 8 --seed-index I for I = 0,1")
     assert kept["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
     assert (len(kept["training_means"]), len(kept["wall_seconds"])) == (2, 2)
-    assert record_result.record_together([run]) == record_result.record(run)
+    assert run_records.record_together([run]) == run_records.record(run)
 
 
 @pytest.mark.parametrize("changed", [{"command": ["python", "y"]}, {"commit": "def"}])
@@ -104,14 +112,14 @@ def test_runs_of_different_commands_or_commits_are_not_recorded_as_one(seed_runs
     about = json.loads((seed_runs[1] / "run.json").read_text())
     (seed_runs[1] / "run.json").write_text(json.dumps(about | changed))
     with pytest.raises(ValueError, match="run_1 must have the command and the commit of"):
-        record_result.record_together(seed_runs)
+        run_records.record_together(seed_runs)
 
 
 def test_runs_that_ended_at_different_steps_are_not_recorded_as_one(seed_runs):
     metrics = seed_runs[1] / "seed_1" / "metrics.jsonl"
     metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
     with pytest.raises(ValueError, match="run_1 was not evaluated at the steps of"):
-        record_result.record_together(seed_runs)
+        run_records.record_together(seed_runs)
 
 
 def test_page_shows_what_was_recorded():

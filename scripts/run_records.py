@@ -1,0 +1,101 @@
+"""Records of training runs: what produced them, their evaluations and their training metrics."""
+
+import json
+import re
+from itertools import pairwise
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+from hmasd_jax.analysis.learning import main_metric
+from hmasd_jax.runs import folder as run_folder
+from hmasd_jax.runs import metrics_log
+
+NUM_PARTS = 10
+"""Equal parts of a run over which training metrics are averaged."""
+NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
+"""Entries of a training record that are not metrics to average."""
+
+
+def record(run: Path) -> dict[str, Any]:
+    """Return the record of a run: what produced it, evaluations (seeds, steps), and training.
+
+    Raises:
+        ValueError: not a run folder, or its seeds were not all evaluated at the same steps.
+    """
+    seeds = run_folder.seeds_of(run)
+    if not seeds or not (run / "run.json").is_file():
+        raise ValueError(f"RUN must be the folder of a run, but {run} holds no run.json and seeds")
+    about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
+    env_steps, values, training, wall_seconds = None, [], [], []
+    for seed in seeds:
+        records = metrics_log.read(run_folder.metrics_path(run, seed))
+        evaluations = [entry for entry in records if entry["kind"] == "eval"]
+        steps = [entry["env_steps"] for entry in evaluations]
+        env_steps = env_steps or steps
+        if not evaluations or steps != env_steps:
+            raise ValueError(
+                f"seed {seed} of {run} was not evaluated at the steps of the other seeds: "
+                "finish the run with --resume first"
+            )
+        metric = main_metric(evaluations[-1])
+        values.append([round(entry[metric], 6) for entry in evaluations])
+        training.append(training_means(records))
+        wall_seconds.append(records[-1]["wall_seconds"])
+    return {
+        **about,
+        "command": " ".join(about["command"]),
+        "config": config,
+        "metric": metric,
+        "env_steps": env_steps,
+        "values": values,
+        "training_means": training,
+        "wall_seconds": wall_seconds,
+    }
+
+
+def record_together(runs: list[Path]) -> dict[str, Any]:
+    """Return one record of `runs`, whose commands differ in what `any_seed` removes alone.
+
+    Runs that were resumed to more steps count with their last number of steps.
+
+    Raises:
+        ValueError: a run cannot be recorded, or differs from the first in its command, commit or
+            evaluations.
+    """
+    first, *others = (record(run) for run in runs)
+    if not others:
+        return first
+    joined = {key: value for key, value in first.items() if key != "resumed"}
+    command = any_seed(first["command"])
+    for run, other in zip(runs[1:], others):
+        if (any_seed(other["command"]), other["commit"]) != (command, first["commit"]):
+            raise ValueError(f"{run} must have the command and the commit of {runs[0]}")
+        if other["env_steps"] != first["env_steps"]:
+            raise ValueError(
+                f"{run} was not evaluated at the steps of {runs[0]}: finish both with --resume"
+            )
+        for name in ("values", "training_means", "wall_seconds"):
+            joined[name] = joined[name] + other[name]
+    seeds = ",".join(str(seed) for run in runs for seed in run_folder.seeds_of(run))
+    steps = first["config"]["total_env_steps"]
+    command = f"{command} --total-env-steps {steps} --seed-index I for I = {seeds}"
+    return joined | {"command": command}
+
+
+def any_seed(command: str) -> str:
+    """Remove the seed, the number of steps and the run folder from a command."""
+    return re.sub(r" --(seed-index|total-env-steps|run-dir) \S+", "", command)
+
+
+def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:
+    """Average each training metric over ten equal parts of a run; None where it has no values."""
+    lines = [entry for entry in records if entry["kind"] == "train"]
+    names = dict.fromkeys(name for entry in lines for name in entry if name not in NOT_MEANS)
+    bounds = [len(lines) * part // NUM_PARTS for part in range(NUM_PARTS + 1)]
+    means = {name: [] for name in names}
+    for start, end in pairwise(bounds):
+        for name, kept in means.items():
+            values = [entry[name] for entry in lines[start:end] if name in entry]
+            kept.append(float(f"{fmean(values):.4g}") if values else None)
+    return means
