@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from envs_jax.micro_battle.physics import Units
+from envs_jax.micro_battle.physics import Units, points_left
 
 
 def count(
@@ -20,7 +20,7 @@ def count(
         num_agents: Number of allies, which come first.
         ticks: Length of the step.
     """
-    was, left = (jnp.maximum(units.health, 0) + units.shield for units in (before, after))
+    was, left = points_left(before), points_left(after)
     loss = jnp.maximum(was - left, 0)  # Shields recharge.
     dies = (before.health > 0) & (after.health <= 0)
     hit_by = after.shooter[num_agents:, None] == jnp.arange(num_agents)

@@ -248,6 +248,11 @@ def move(
     return jnp.where(both | along_x, x, units.x), jnp.where(both | along_y, y, units.y)
 
 
+def points_left(units: Units) -> Float[Array, "units *copies"]:
+    """Return the health and shield that each unit has left."""
+    return jnp.maximum(units.health, 0) + units.shield
+
+
 def is_target(constants: UnitConstants, units: Units) -> Bool[Array, "units units *copies"]:
     """Test for each pair whether the first unit attacks the second."""
     return units.target[:, None] == constants.index

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from envs_jax.micro_battle.constants import UnitConstants
-from envs_jax.micro_battle.physics import Units
+from envs_jax.micro_battle.physics import Units, points_left
 
 Reward = Literal["win", "kills", "damage"]
 
@@ -55,6 +55,6 @@ def team_reward(
     scale = SCALE[kind] / (WIN + KILL * len(points) + float(points.sum()))
     if kind == "kills":
         return scale * (WIN * win + KILL * enemies + LOSS * allies)
-    was, left = (jnp.maximum(units.health, 0) + units.shield for units in (before, after))
+    was, left = points_left(before), points_left(after)
     change = jnp.where(before.health > 0, was - left, 0)[num_agents:].sum(0)
     return scale * (WIN * win + jnp.abs(KILL * enemies + change))
