@@ -1,5 +1,6 @@
 """Runs in processes of their own, and what they leave."""
 
+import subprocess
 import time
 from pathlib import Path
 
@@ -10,11 +11,28 @@ from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import checkpoint_folder
 
 
+class LoggedProcess(subprocess.Popen):
+    """A process that writes its output to a file.
+
+    A pipe that nobody reads fills up, and then stops the process.
+    """
+
+    def __init__(self, command: list[str], log: Path, **options):
+        self.log = log
+        with log.open("w") as file:
+            super().__init__(command, stdout=file, stderr=subprocess.STDOUT, **options)
+
+    def output(self, timeout=60):
+        """Wait until the process ends, and return its output."""
+        self.wait(timeout)
+        return self.log.read_text()
+
+
 def wait_until(condition, process, seconds=120):
     """Wait for a condition while a process runs."""
     limit = time.monotonic() + seconds
     while not condition():
-        assert process.poll() is None, process.stdout.read()
+        assert process.poll() is None, process.log.read_text()
         assert time.monotonic() < limit, "timed out"
         time.sleep(0.02)
 

@@ -24,9 +24,9 @@ def test_two_processes_share_a_search_and_one_continues_what_the_other_left(star
     one, two = (start("tune", folder, *more) for _ in range(2))
     wait_until(lambda: latest(folder / "trial_0", 0) and latest(folder / "trial_1", 0), one)
     os.killpg(one.pid, signal.SIGKILL)
-    text = one.communicate()[0]
+    text = one.output()
     killed = next(number for number in (0, 1) if f"trial {number} of 3" in text)
-    text = two.communicate(timeout=120)[0]
+    text = two.output(timeout=120)
     assert two.returncode == 0, text
     assert f"trial {killed} of 3" in text
     assert "seed 0: resuming from env step" in text

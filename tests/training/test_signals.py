@@ -29,7 +29,7 @@ def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
         wait_until(lambda done=done: latest(killed, 0) > done, process)
         time.sleep(delay)
         os.killpg(process.pid, signal.SIGKILL)
-        text = process.communicate()[0]
+        text = process.output()
         assert process.returncode == -signal.SIGKILL
         assert (f"seed 0: resuming from env step {done:,}" if done else "seed 0: fresh") in text
         steps.append(latest(killed, 0))
@@ -46,7 +46,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     process = start("train", run, *words(total_env_steps=ENDLESS))
     wait_until(lambda: latest(run, 0) > 0, process)
     os.killpg(process.pid, signal.SIGINT)
-    text = process.communicate(timeout=60)[0]
+    text = process.output()
     assert process.returncode == 130
     assert (
         f"interrupted; to continue: python -m hmasd_jax.train train --run-dir {run} --resume"
@@ -66,7 +66,7 @@ def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     steps = [latest(run, seed) for seed in (0, 1)]
     wait_until(lambda: any(latest(run, s) > steps[s] + 400 for s in (0, 1)), process)
     os.killpg(process.pid, signal.SIGINT)
-    text = process.communicate(timeout=60)[0]
+    text = process.output()
     assert process.returncode == 130, text
     failed = [s for s in (0, 1) if f"seed {s} failed: its process was killed by SIGKILL" in text]
     assert len(failed) == 1
@@ -99,7 +99,7 @@ def test_sigterm_to_all_processes_saves_every_seed(start, tmp_path):
         process = start("seed_sweep", run, *more)
         wait_until(lambda done=done: all(latest(run, s) > done[s] for s in (0, 1)), process)
         os.killpg(process.pid, signal.SIGTERM)
-        text = process.communicate(timeout=60)[0]
+        text = process.output()
         assert process.returncode == 130, text
         assert "failed" not in text
         assert "Traceback" not in text
@@ -119,7 +119,7 @@ def test_a_sweep_terminated_before_it_trains_is_interrupted(start, tmp_path):
     process = start("seed_sweep", run, *words(num_seeds=1, layout="workers"))
     wait_until(lambda: children_of(process), process)
     os.killpg(process.pid, signal.SIGTERM)
-    text = process.communicate(timeout=60)[0]
+    text = process.output()
     assert process.returncode == 130, text
     assert "seed 0 interrupted" in text
     assert "Traceback" not in text
@@ -138,7 +138,7 @@ def test_a_worker_that_is_terminated_alone_saves_and_is_replaced(start, tmp_path
     os.kill(children_of(process)[0], signal.SIGTERM)
     wait_until(lambda: latest(run, 1) > 0, process)
     os.killpg(process.pid, signal.SIGTERM)
-    text = process.communicate(timeout=60)[0]
+    text = process.output()
     assert process.returncode == 130, text
     assert f"seed 0 interrupted at env step {latest(run, 0):,}" in text
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
@@ -151,7 +151,7 @@ def test_workers_stop_when_the_parent_is_gone(start, tmp_path):
     wait_until(lambda: latest(run, 0) > 0, process)
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
     process.kill()
-    process.communicate()
+    process.wait()
     limit = time.monotonic() + 60
     while any(Path(f"/proc/{pid}").exists() for pid in children):
         assert time.monotonic() < limit
