@@ -16,7 +16,7 @@ LOSS = -5.0
 """Points for the battle, for an enemy's death and for an ally's, in SMAC and in MASER's fork."""
 
 SCALE: dict[Reward, float] = {"kills": 10.0, "damage": 20.0}
-"""What the sum of all positive points is scaled to."""
+"""Factor of the points, after they are divided by the most that can be earned."""
 
 
 def won(units: Units, num_agents: int) -> Bool[Array, "*copies"]:
@@ -31,16 +31,17 @@ def team_reward(
     """Return the reward of one environment step.
 
     - `win`: 1 when the battle is won (HMASD, Sec. 4.2).
-    - `kills`: 200 when it is won, 10 for each enemy that dies and -5 for each ally, times 10 over
-      the most that can be earned (the fork of SMAC in Jiwonjeon9603/MASER).
+    - `kills`: 200 when it is won, 10 for each enemy that dies and -5 for each ally, times 10 (the
+      fork of SMAC in Jiwonjeon9603/MASER).
     - `damage`: 200 when it is won, 10 for each enemy that dies, and 1 for each point of health and
-      shield that enemies lose, times 20 over the most that can be earned (the default of
-      oxwhirl/smac, which also pays for shields that recharge).
+      shield that enemies lose, times 20 (the default of oxwhirl/smac, which also pays for shields
+      that recharge).
 
-    The most counts the health and shields of all enemies in both, as their sources do.
+    The last two are divided by the most that can be earned. As in their sources, it contains the
+    health and shields of all enemies in both.
 
     Args:
-        kind: What is paid.
+        kind: Name of the reward.
         before: Units before the step.
         after: Units after the step.
         constants: Constants of the units.

@@ -7,7 +7,7 @@ import sys
 from hmasd_jax.cli.main import main
 
 if __name__ == "__main__":
-    # Modules are no garbage. To look for some while they load, and once more at the end, takes a
+    # Loading modules makes no garbage. Looking for it meanwhile, and once more at the end, takes a
     # fifth of the time of `train --help`.
     gc.set_threshold(100_000)
     atexit.register(gc.freeze)

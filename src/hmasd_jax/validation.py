@@ -29,7 +29,7 @@ def check_range(
             `LARGEST_FLOAT` for a float.
 
     Raises:
-        ValueError: A field is not; the message begins with its name.
+        ValueError: A field is not finite or out of range; the message begins with its name.
     """
     for name in names:
         value = getattr(settings, name)
@@ -56,7 +56,7 @@ def check_indices(settings: Any, name: str) -> None:
     """Check that a field holds distinct whole numbers from 0; for use in `__post_init__`.
 
     Raises:
-        ValueError: It does not; the message begins with the field's name.
+        ValueError: It holds others; the message begins with the field's name.
     """
     value = getattr(settings, name)
     if any(index < 0 for index in value) or len(set(value)) < len(value):

@@ -1,5 +1,6 @@
 """The project's own promises: clean code, a README that says what CI runs."""
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+SOURCES = ("src", "envs_jax", "scripts", "benchmarks", "tests")
+NOUN_CLAUSES = {"What", "Where", "Of", "How", "As", "By", "Which", "Who", "Why"}
+"""Words with which no docstring begins: it names the thing, or says what to do."""
 
 
 @pytest.mark.parametrize("command", ["ruff check", "ruff format --check", "pyrefly check"])
@@ -33,3 +37,23 @@ def test_environments_import_nothing_of_the_trainer():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def docstrings(source):
+    """Yield line and text of all docstrings, those of attributes included."""
+    for node in ast.walk(ast.parse(source)):
+        body = getattr(node, "body", None)
+        for part in body if isinstance(body, list) else []:
+            if isinstance(part, ast.Expr) and isinstance(part.value, ast.Constant):
+                yield part.lineno, str(part.value.value)
+
+
+def test_docstrings_do_not_begin_with_noun_clauses():
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {text.splitlines()[0]}"
+        for folder in SOURCES
+        for path in (ROOT / folder).rglob("*.py")
+        for line, text in docstrings(path.read_text())
+        if NOUN_CLAUSES.intersection(text.split()[:1])
+    ]
+    assert found == []

@@ -1,4 +1,4 @@
-"""What `--vary` may say of a search."""
+"""Ranges and lists of values that `--vary` accepts, and those that it refuses."""
 
 import pytest
 

@@ -61,7 +61,7 @@ class Learned(NamedTuple):
     threshold: float
     """Score from which a seed has learned the task."""
     solved: Estimate
-    """Share of seeds that have."""
+    """Share of seeds that have learned the task."""
     reached: list[tuple[int, float]]
     """Environment steps and seconds of the first evaluation at or above the threshold, for each
     seed that has one."""

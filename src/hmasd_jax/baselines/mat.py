@@ -64,7 +64,7 @@ class Extras(NamedTuple):
 
     log_prob: Float[Array, "*T E N"]
     value: Float[Array, "*T E N"]
-    """In normalized units."""
+    """Value of each agent, in normalized units."""
 
 
 class Batch(NamedTuple):

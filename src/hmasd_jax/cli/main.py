@@ -171,7 +171,7 @@ def _prepare_streams() -> None:
     machine that compiled it (JAX issue 38445). Errors of accelerators are left to be seen.
     """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # As after `>&-`.
+        if getattr(sys, name) is None:  # A shell closes it by `>&-`.
             setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
     accelerators = ("jax_cuda12_plugin", "jax_cuda13_plugin", "jax_rocm7_plugin", "libtpu")
     if not any(importlib.util.find_spec(name) for name in accelerators):
@@ -194,8 +194,8 @@ def _print_help(words: list[str]) -> None:
             print(usage())
         sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # What is left to flush.
-        if not isinstance(error, BrokenPipeError):  # Its reader has left, as in `--help | head`.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Drops the rest.
+        if not isinstance(error, BrokenPipeError):  # The reader has left, as in `--help | head`.
             raise ConfigError(f"cannot write the help: {error.strerror}") from error
 
 

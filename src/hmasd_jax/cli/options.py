@@ -100,11 +100,11 @@ class GridOptions(RunOptions):
 
     @property
     def resumed_run(self) -> None:
-        """None: each cell has a run folder, and a configuration, of its own."""
+        """None, because each cell has a run folder and a configuration of its own."""
 
     @property
     def cells(self) -> list[dict[str, str]]:
-        """Every combination of the values, each by dotted name of the setting.
+        """Combinations of the values, each a dictionary by dotted name of the setting.
 
         Raises:
             ConfigError: An entry of `vary` is not of the form NAME=VALUE,VALUE, or two name the
@@ -185,7 +185,7 @@ class TuneOptions(RunOptions):
 
     @property
     def resumed_run(self) -> None:
-        """None: a search has a preset, and each trial a configuration of its own."""
+        """None, because a search has a preset, and each trial a configuration of its own."""
 
     @property
     def base(self) -> Path | None:

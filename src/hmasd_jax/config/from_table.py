@@ -1,4 +1,4 @@
-"""The one type checker: plain values become frozen dataclasses.
+"""Build frozen dataclasses from plain values, and check their types.
 
 The values come from TOML files, JSON files and command lines.
 """

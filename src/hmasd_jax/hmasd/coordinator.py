@@ -29,12 +29,12 @@ class Assignment(NamedTuple):
 
     @property
     def team_skill(self) -> Int[Array, "*batch"]:
-        """Z."""
+        """Team skill Z."""
         return self.skills[..., 0]
 
     @property
     def individual_skills(self) -> Int[Array, "*batch N"]:
-        """z^1..z^N."""
+        """Individual skills z^1..z^N."""
         return self.skills[..., 1:]
 
 

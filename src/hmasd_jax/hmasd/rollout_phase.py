@@ -37,18 +37,18 @@ class Extras(NamedTuple):
     assignment: Assignment
     """Skills in use."""
     renewed: Bool[Array, "*T E"]
-    """True where they were drawn at this step: a segment begins."""
+    """True where skills were drawn at this step, so that a segment begins."""
 
 
 class Rollout(NamedTuple):
     """T steps of E copies."""
 
     transitions: Transition
-    """(T, E, ...), with `Extras`."""
+    """Steps of the rollout, (T, E, ...), with `Extras`."""
     env: EnvCarry
     """State of the copies after the last step."""
     memory: RolloutMemory
-    """After the last step."""
+    """Memory after the last step."""
     next_assignment: Assignment
     """(E, ...) Skills in use at the next step, with the value of the state there. Both levels
     bootstrap from it."""

@@ -46,7 +46,7 @@ class SequenceBatch(NamedTuple):
     action: Int[Array, "S L N"]
     log_prob: Float[Array, "S L N"]
     value: Float[Array, "S L *V"]
-    """In normalized units."""
+    """Values of the critic when acting, in normalized units."""
     advantage: Float[Array, "S L N"]
     target: Float[Array, "S L #N"]
     """Returns in reward units."""

@@ -1,4 +1,4 @@
-"""What a report tells of one run: settings, records, and a study of each trained seed."""
+"""Data of one run for a report: settings, records, and a study of each trained seed."""
 
 import json
 from collections.abc import Iterable

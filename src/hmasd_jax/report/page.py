@@ -80,7 +80,7 @@ def check_packages() -> None:
     """Check that the packages of the extra `report` are installed.
 
     Raises:
-        MissingPackageError: One is not.
+        MissingPackageError: One of them is missing.
     """
     for package in ("jinja2", "plotly", "imageio", "imageio_ffmpeg", "PIL", "matplotlib"):
         require(package, "report", "a report")

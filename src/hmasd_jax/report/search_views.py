@@ -1,4 +1,4 @@
-"""What a report shows of a search: Optuna's plots, and the trials beside the preset."""
+"""Views of a search in a report: Optuna's plots, and the trials beside the preset."""
 
 import warnings
 from collections.abc import Sequence

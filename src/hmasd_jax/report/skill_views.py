@@ -52,7 +52,7 @@ class Cell(NamedTuple):
 
 
 class SeedView(NamedTuple):
-    """What the page shows of one seed."""
+    """Contents of the page about one seed."""
 
     index: int
     env_steps: int
@@ -70,7 +70,7 @@ class SeedView(NamedTuple):
     behaviors: list[tuple[str, list[Cell]]]
     matter: str | None
     given: list[tuple[str, list[Cell]]]
-    """How often the coordinator gives each agent each skill."""
+    """Shares of time for which the coordinator gives each agent each skill."""
     given_columns: list[str]
     spaces: list[str]
 

@@ -140,11 +140,11 @@ class Log(NamedTuple):
     """Lines of a file of metrics, each without its line break."""
 
     records: list[tuple[bytes, Record]]
-    """Lines that are records, with what they say."""
+    """Lines that are records, each with its record."""
     damaged: list[bytes]
-    """Lines that are not."""
+    """Lines that are no records."""
     unfinished: bytes
-    """End of the file after the last line break, which a kill may have left, unless a record."""
+    """Text after the last line break, such as a kill leaves; empty if it is a record."""
 
 
 def read(path: Path) -> list[Record]:

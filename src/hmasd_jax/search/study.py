@@ -34,7 +34,7 @@ LOCK = ".lock"
 
 
 class Definition(NamedTuple):
-    """What is searched, and how trials are judged."""
+    """Definition of a search: its space, and the rules by which trials are judged."""
 
     config: TrainConfig
     """The preset."""

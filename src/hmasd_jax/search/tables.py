@@ -1,4 +1,4 @@
-"""What a search has found, in words and as a table."""
+"""Results of a search, in words and as a table."""
 
 from collections import Counter
 from typing import TYPE_CHECKING

@@ -18,7 +18,8 @@ from hmasd_jax.types import Algorithm, Key, Learner, Metrics
 BatchLayout = Literal["vmap", "map", "sharded"]
 
 EVALUATION = 2**31
-"""Folded into the experiment's key for evaluations. Training folds in the small index of a seed."""
+"""Number folded into the experiment's key for evaluations. For training it is the index of a seed,
+which is smaller."""
 
 
 class Advanced(NamedTuple):

@@ -116,7 +116,7 @@ def share_of_cores(cores: list[int], places: Sequence[int], index: int) -> list[
 
 
 def leave(group: Group) -> None:
-    """Disconnect the processes; all must call this. Each then lives and dies alone."""
+    """Disconnect the processes; all must call this. Then the end of one no longer ends others."""
     if group.size > 1:
         jax.distributed.shutdown()
 

@@ -126,7 +126,7 @@ def _disabled() -> Iterator[None]:
 
 
 def _set(name: str, value: Any) -> None:
-    """Change a setting of JAX's cache, which reads them once."""
+    """Change a setting of JAX's cache, and make the cache read its settings again."""
     jax.config.update(name, value)
     compilation_cache.reset_cache()
 

@@ -22,7 +22,7 @@ VISIT, ALONE, GIVEN_OTHER = range(3)
 
 
 class Explored(NamedTuple):
-    """What the counts say of each step of a rollout."""
+    """Novelty and influence at each step of a rollout, by the counts."""
 
     novelty: Float[Array, "T E N"]
     """1 / sqrt(visits + 1) of the local state that each agent reaches, without this visit."""

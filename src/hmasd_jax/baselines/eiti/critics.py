@@ -57,7 +57,7 @@ class Evaluated(NamedTuple):
     last_memory: Float[Array, "E K hidden"]
     """Memory after the rollout."""
     value: Float[Array, "T E K"]
-    """In normalized units."""
+    """Values of the critics, in normalized units."""
     after: Float[Array, "T E K"]
     """Values of what each step led to, in reward units; 0 where the episode ended."""
 
@@ -70,7 +70,7 @@ class CriticBatch(NamedTuple):
     first: Bool[Array, "K S L"]
     obs: Float[Array, "K S L obs"]
     value: Float[Array, "K S L"]
-    """In normalized units."""
+    """Values of the critics, in normalized units."""
     target: Float[Array, "K S L"]
     """Returns in reward units."""
 

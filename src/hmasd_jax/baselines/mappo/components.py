@@ -54,7 +54,7 @@ class Extras(NamedTuple):
     """Memory before the step."""
     log_prob: Float[Array, "*T E N"]
     value: Float[Array, "*T E V"]
-    """In normalized units."""
+    """Values of the critic, in normalized units."""
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,8 @@ class MASERConfig(QMIXConfig):
     individual_coef: float = 8e-4
     """Weight of the agents' own temporal-difference loss."""
     exploration_coef: float = 6e-5
-    """Weight of the loss that keeps values even after the subgoal. Only for `variant` "paper"."""
+    """Weight of the loss that makes the values of all actions equal from the subgoal on. Only for
+    `variant` "paper"."""
     distance_coef: float = 1.4e-4
     """Weight of the loss that trains the distance. Only for `variant` "paper"."""
     variant: MASERVariant = "released"

@@ -142,9 +142,9 @@ def paper_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """Return the loss of the paper.
 
-    The features learn that observations are close if the agent's values there are similar, and
-    values are kept even from the subgoal onwards. Subgoals are chosen by the total value of the
-    actions taken, and credit is that of the same step.
+    The features learn that observations are close if the agent's values there are similar. From
+    the subgoal onwards, the values of all actions are made equal. Subgoals are chosen by the total
+    value of the actions taken. Credit is that of the same step.
     """
     values = evaluate_episodes(networks, params, target_params, episodes)
     features = networks.features(params, episodes.seen.obs[:-1])

@@ -14,7 +14,7 @@ from hmasd_jax.types import Key, Transition
 
 
 class Seen(NamedTuple):
-    """What agents and mixer see of a time step."""
+    """Inputs of agents and mixer at a time step."""
 
     obs: Float[Array, "*batch N obs"]
     state: Float[Array, "*batch state"]
@@ -25,11 +25,11 @@ class Step(NamedTuple):
     """One step of one copy."""
 
     seen: Seen
-    """Before the action."""
+    """Inputs before the action."""
     action: Int[Array, "*batch N"]
     reward: Float[Array, "*batch"]
     terminated: Bool[Array, "*batch"]
-    """True if nothing is to be expected after this step."""
+    """True if values count as 0 after this step."""
 
 
 class Replay(NamedTuple):
@@ -48,14 +48,14 @@ class Replay(NamedTuple):
     length: Int[Array, " C"]
     copy: Int[Array, " C"]
     final: Seen
-    """What was seen after the last step of an episode, (C, ...)."""
+    """Inputs after the last step of an episode, (C, ...)."""
 
 
 class Episodes(NamedTuple):
     """B episodes, padded with steps of later episodes. Time comes first."""
 
     seen: Seen
-    """(T + 1, B, ...)"""
+    """Inputs at every step and after the last, (T + 1, B, ...)."""
     action: Int[Array, "T B N"]
     reward: Float[Array, "T B"]
     terminated: Bool[Array, "T B"]
