@@ -55,7 +55,7 @@ def record(run: Path) -> dict[str, Any]:
 
 
 def record_together(runs: list[Path]) -> dict[str, Any]:
-    """Return one record of `runs`, whose commands differ in what `any_seed` removes alone.
+    """Return one record of `runs`, whose commands differ only in what `any_seed` removes.
 
     Runs that were resumed to more steps count with their last number of steps.
 

@@ -62,8 +62,8 @@ class TrainOptions(RunOptions):
     """Seed to train, and files that the run reads and writes."""
 
     seed_index: int | None = None
-    """Index of the seed to train; its numbers are those of this seed in `seed_sweep`. By default,
-    the seed of a resumed run that has but one, else 0."""
+    """Index of the seed to train; its numbers are those of this seed in `seed_sweep`. By default
+    that of a resumed run with a single seed, else 0."""
 
     def __post_init__(self) -> None:
         if self.seed_index is not None:

@@ -191,7 +191,7 @@ def identity(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def name_differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    """Write by name, in the order of `old`, what differs; empty if nothing does."""
+    """Return a text that names the differences, in the order of `old`; empty if there are none."""
     names = [name for name in dict.fromkeys((*old, *new)) if old.get(name) != new.get(name)]
     return ", ".join(f"{name} (was {old.get(name)}, now {new.get(name)})" for name in names)
 

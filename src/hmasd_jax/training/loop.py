@@ -20,7 +20,7 @@ from hmasd_jax.training.schedule import make_plan
 from hmasd_jax.training.seed_run import SeedRun
 
 compiled = lru_cache(maxsize=2)(compile_programs)
-"""`compile_programs`, once for a process that trains one seed after the other."""
+"""`compile_programs`, cached for a process that trains one seed after the other."""
 
 
 def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:

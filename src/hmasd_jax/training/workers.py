@@ -72,7 +72,7 @@ class Worker:
 def _signals_held() -> Iterator[None]:
     """Hold the signals that stop a run, in processes started meanwhile until `_take_signals`.
 
-    A worker takes seconds to import JAX and would else end as Python does, with a traceback.
+    A worker takes seconds to import JAX, and a signal would end it with a traceback meanwhile.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -101,8 +101,8 @@ def _take_signals() -> Callable[[], bool]:
 def run_workers(job: Job, indices: list[int], cores: list[int]) -> dict[int, Event]:
     """Train the seeds in one process per core.
 
-    If a worker dies, only its current seed fails, and a new worker replaces it. So it does if a
-    worker alone is told to end, whose seed is then saved.
+    If a worker dies, only its current seed fails, and a new worker replaces it. A worker that alone
+    is told to end saves its seed first, and is replaced too.
 
     Args:
         job: The run to train.

@@ -82,7 +82,7 @@ def count(table: Table, keys: StepKeys) -> tuple[Table, Explored]:
 
     b(i, j) = 1 - p(s'_j | s_j, a_j) / p(s'_j | s_j, a_j, s_i, a_i), with probabilities that are
     ratios of counts. This bounds the mutual information of EITI from below, as 1 - 1/x <= log x.
-    Like the authors', influence knows of the step that it is computed for, and novelty does not.
+    As in the authors' code, influence counts the step that it is computed for. Novelty does not.
     """
     i, j = pairs(keys.alone.shape[-1])
 

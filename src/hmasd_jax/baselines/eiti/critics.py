@@ -110,8 +110,8 @@ def evaluate(
     _, last_value = value_of(last_memory, _inputs(env.timestep), env.first)
 
     def value_of_outcome():
-        following = rollouts.following(memory, last_memory)
-        return value_of(following, _inputs(outcome), jnp.zeros_like(outcome.done))[1]
+        next_memory = rollouts.following(memory, last_memory)
+        return value_of(next_memory, _inputs(outcome), jnp.zeros_like(outcome.done))[1]
 
     after, terminated = values_after(value, last_value, outcome, value_of_outcome, parts.config)
     after = jnp.where(terminated, 0.0, denormalize(critics.norm, after))

@@ -28,8 +28,9 @@ class MAPPOConfig:
     recurrent: bool = True
     """If True, actor and critic have a memory (on-policy's `rmappo`), else none (`mappo`)."""
     critic_input: Literal["state", "agent", "obs"] = "state"
-    """Input of the critic: the global `state`, for one value of all agents, or, for a value per
-    `agent`, the state, the agent's observation and its index, or `obs`, its observation alone."""
+    """Input of the critic. `state`: the global state, for one value of all agents. `agent`: the
+    state, the agent's observation and its index, for a value per agent. `obs`: the agent's
+    observation alone, for a value per agent."""
     death_masking: bool = True
     """If True, with `critic_input` "agent", the critic sees only the index of an agent that has no
     choice of actions, such as the dead."""
