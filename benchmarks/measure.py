@@ -41,7 +41,7 @@ class Row:
     env: str | None = None
     algorithm: str | None = None
     seeds: int | None = None
-    layout: str | None = None
+    placement: str | None = None
     env_steps_per_s: float | None = None
     env_steps_per_cpu_s: float | None = None
     gflops: float | None = None

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.measure import ABOUT, text
+from hmasd_jax.config import RENAMED
 from hmasd_jax.runs import folder as run_folder
 
 ROOT = Path(__file__).parents[1]
@@ -59,10 +60,13 @@ def run(name: str, about: dict[str, Any]) -> None:
 
 
 def table(kept: dict[str, Any]) -> str:
-    """Format the rows of one benchmark as Markdown, below its command and machine."""
+    """Format the rows of one benchmark as Markdown, below its command and machine.
+
+    Columns have the names of today, also where the record has former ones.
+    """
     rows = kept["rows"]
     columns = [key for key in rows[0] if any(row[key] is not None for row in rows)]
-    head = [column.replace("_", " ") for column in columns]
+    head = [RENAMED.get(column, column).replace("_", " ") for column in columns]
     lines = [head, ["---"] * len(head), *([text(row[c]) for c in columns] for row in rows)]
     about = ", ".join(f"{key} {kept[key]}" for key in ABOUT)
     return "\n".join([f"`{kept['command']}`  ", f"{about}", "", *map(_line, lines)])

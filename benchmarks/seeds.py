@@ -1,9 +1,9 @@
-"""Measure throughput against the number of seeds, for each layout of a sweep.
+"""Measure throughput against the number of seeds, for each placement of a sweep.
 
-python benchmarks/seeds.py [--seeds 1 2 4] [--layout workers vmap map sharded] [--json]
+python benchmarks/seeds.py [--seeds 1 2 4] [--placement workers vmap map sharded] [--json]
 
-On a CPU, one seed in the layout `workers` is pinned to one core; its row is the reference for the
-others. The layout `sharded` treats each core as a device.
+On a CPU, one seed in the placement `workers` is pinned to one core; its row is the reference for
+the others. The placement `sharded` treats each core as a device.
 """
 
 import math
@@ -27,22 +27,24 @@ from benchmarks.measure import (
 from benchmarks.training import preset
 from hmasd_jax import config as configs
 from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.training.compiled import BatchLayout, batched
+from hmasd_jax.training.compiled import BatchPlacement, batched
 
-LAYOUTS = ("workers", "vmap", "map", "sharded")
+PLACEMENTS = ("workers", "vmap", "map", "sharded")
 
 
-def in_one_program(config: Any, seeds: int, layout: BatchLayout, devices: int, repeats: int) -> Row:
+def in_one_program(
+    config: Any, seeds: int, placement: BatchPlacement, devices: int, repeats: int
+) -> Row:
     """Measure an update of all seeds in one process and one program."""
-    if layout == "sharded":
+    if placement == "sharded":
         flags = os.environ.get("XLA_FLAGS", "")
         os.environ["XLA_FLAGS"] = f"{flags} --xla_force_host_platform_device_count={devices}"
     _, learner = configs.build(config)
     keys = jax.random.split(jax.random.key(0), seeds)
-    states = jax.jit(batched(learner.init, seeds, layout))(keys)
-    update, compile_s = compiled(batched(learner.update, seeds, layout), states)
+    states = jax.jit(batched(learner.init, seeds, placement))(keys)
+    update, compile_s = compiled(batched(learner.update, seeds, placement), states)
     timing = measure(lambda: update(states), repeats)
-    return _row(config, seeds, layout, timing, compile_s, peak_rss_mb())
+    return _row(config, seeds, placement, timing, compile_s, peak_rss_mb())
 
 
 def with_workers(config: Any, seeds: int, cores: list[int], repeats: int) -> Row:
@@ -77,14 +79,14 @@ def _work(config: Any, seeds: int, repeats: int, barrier: Any) -> tuple[Timing, 
     return measure(one_after_the_other, repeats), compile_s, peak_rss_mb()
 
 
-def _row(config, seeds, layout, timing, compile_s, peak) -> Row:
+def _row(config, seeds, placement, timing, compile_s, peak) -> Row:
     names = configs.to_json(config)
     return Row(
-        f"{seeds} seeds, {layout}",
+        f"{seeds} seeds, {placement}",
         names["env"]["name"],
         names["algorithm"]["name"],
         seeds,
-        layout,
+        placement,
         **timing.rates(seeds * config.env_steps_per_update),
         compile_s=compile_s,
         peak_rss_mb=peak,
@@ -95,24 +97,26 @@ def main() -> None:
     """Run the benchmark from the command line."""
     options = training_parser(__doc__)
     options.add_argument("--seeds", type=int, nargs="+", help="numbers of seeds to train at once")
-    options.add_argument("--layout", nargs="+", choices=LAYOUTS, help="default: all that apply")
+    options.add_argument(
+        "--placement", nargs="+", choices=PLACEMENTS, help="default: all that apply"
+    )
     args = options.parse_args()
     _, config = preset(args.env, args.algorithm, args.quick)
     cores = run_folder.available_cores()
     on_cpu = jax.default_backend() == "cpu"
     devices = len(cores) if on_cpu else jax.local_device_count()
-    layouts = args.layout or [name for name in LAYOUTS if on_cpu or name != "workers"]
+    placements = args.placement or [name for name in PLACEMENTS if on_cpu or name != "workers"]
     counts = args.seeds or ([2] if args.quick else [1, 2, 4] if on_cpu else [1, 4, 16, 64])
 
     def rows():
-        for layout in layouts:
+        for placement in placements:
             for seeds in counts:
-                if layout == "workers":
+                if placement == "workers":
                     yield with_workers(config, seeds, cores, args.repeats)
                     continue
-                if layout == "sharded":
+                if placement == "sharded":
                     seeds = math.ceil(seeds / devices) * devices
-                yield isolated(in_one_program, config, seeds, layout, devices, args.repeats)
+                yield isolated(in_one_program, config, seeds, placement, devices, args.repeats)
 
     report(rows(), args.json)
 

@@ -119,7 +119,7 @@ def train(config: Path) -> Row:
     """Train a configuration on the workers of a sweep, and return its row."""
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / config.stem
-        words = ["seed_sweep", "--config", str(config), "--layout", "workers"]
+        words = ["seed_sweep", "--config", str(config), "--placement", "workers"]
         command = [sys.executable, "-m", "hmasd_jax.train", *words, "--run-dir", str(run)]
         subprocess.run(command, check=True, stdout=sys.stderr)
         return measured(run)

@@ -14,7 +14,7 @@ from tests.helpers.runs import write_run
 
 ROOT = Path(__file__).parents[2]
 KEYS = {
-    "name", "env", "algorithm", "seeds", "layout", "env_steps_per_s", "env_steps_per_cpu_s",
+    "name", "env", "algorithm", "seeds", "placement", "env_steps_per_s", "env_steps_per_cpu_s",
     "gflops", "ceiling_gflops", "compile_s", "peak_rss_mb",
 }  # fmt: skip
 
@@ -75,9 +75,9 @@ def test_training_is_split_into_its_parts(run_here):
     assert 0.2 < sum(seconds[1:]) / seconds[0] < 5
 
 
-def test_seeds_in_every_layout():
-    rows = run("seeds.py", "--seeds", "2", "--layout", "workers", "sharded")
-    assert [(row["layout"], row["seeds"]) for row in rows] == [("workers", 2), ("sharded", 2)]
+def test_seeds_in_every_placement():
+    rows = run("seeds.py", "--seeds", "2", "--placement", "workers", "sharded")
+    assert [(row["placement"], row["seeds"]) for row in rows] == [("workers", 2), ("sharded", 2)]
 
 
 def test_growth_draws_what_it_measured(run_here, tmp_path):

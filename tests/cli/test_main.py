@@ -62,6 +62,12 @@ def test_render_still_knows_the_former_name_of_its_seed_index(name):
     assert not overrides
 
 
+@pytest.mark.parametrize("name", ["--placement", "--layout"])
+def test_placement_and_its_former_name_are_the_same_setting(name):
+    _, overrides = parse(SweepOptions, [name, "map", "--env.name", "overcooked"])
+    assert load(None, overrides).placement == "map"
+
+
 def test_a_word_after_a_flag_or_a_value_is_not_part_of_it():
     options, _ = parse(EvaluateOptions, ["--sampled", "--episodes", "3", "run"])
     assert (str(options.run), options.sampled, options.episodes) == ("run", True, 3)
@@ -102,6 +108,9 @@ MISTAKES = [
     (["seed_sweep", "--resume"], "--resume needs --run-dir"),
     (["seed_sweep", "--num-seeds", "0"], "num_seeds must be between 1 and 100000, got 0"),
     (["seed_sweep", "--seed-index", "3"], "unknown key seed_index"),
+    (["seed_sweep", "--layout", "map", "--placement", "map"], "layout is the former name of plac"),
+    (["seed_sweep", "--layout", "mpa"], "placement must be one of auto, workers, vmap, map"),
+    (["seed_sweep", "--placment", "map"], "unknown key placment (did you mean placement?)"),
     (["seed_sweep", "--num-seeds", "1e30"], "num_seeds must be between 1 and 100000"),
     (["train", "--num-seeds", "1\nseed = 3"], "num_seeds must be a whole number, got '1\\nseed"),
     (["train", "--seed-index", "4e9"], "seed_index must be at most 2147483647, got 4000000000"),
@@ -153,9 +162,9 @@ def test_a_missing_optional_package_is_told_before_anything_starts(
 def test_help_explains_every_field(capsys):
     assert main(["seed_sweep", "--help", "--env.observation", "one_hot", "--seed", "7"]) == 0
     text = capsys.readouterr().out
-    for name in ("--config", "--run-dir", "--resume", "--num-seeds", "--layout", "--env.max-steps"):
+    for name in ("--config", "--run-dir", "--resume", "--num-seeds", "--placement"):
         assert name in text
-    for name in ("--algorithm.skill-interval", "--algorithm.ppo.learning-rate"):
+    for name in ("--env.max-steps", "--algorithm.skill-interval", "--algorithm.ppo.learning-rate"):
         assert name in text
     words = " ".join(re.sub(r"[│\n]", " ", text).split())
     assert "k, environment steps between two skill assignments" in words

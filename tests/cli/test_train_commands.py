@@ -159,19 +159,19 @@ def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
     assert "3 sampled episodes" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("layout", ["workers", "vmap", "map", "sharded"])
-def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, layout, tmp_path):
+@pytest.mark.parametrize("placement", ["workers", "vmap", "map", "sharded"])
+def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, placement, tmp_path):
     command = [sys.executable, toy.__file__, "seed_sweep", "--run-dir", str(tmp_path / "run")]
     # Two devices for three seeds, so that sharding must pad.
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
     env = os.environ | {"XLA_FLAGS": flags}
     done = subprocess.run(
-        [*command, *words(layout=layout)], capture_output=True, text=True, env=env
+        [*command, *words(placement=placement)], capture_output=True, text=True, env=env
     )
     assert done.returncode == 0, done.stderr
     run = tmp_path / "run"
     assert seeds_of(run) == [0, 1, 2]
-    if layout == "workers":
+    if placement == "workers":
         assert numbers(run, 1) == numbers(alone, 1)
     for ours, theirs in zip(numbers(run, 1), numbers(alone, 1), strict=True):
         assert ours.pop("kind") == theirs.pop("kind")
@@ -254,22 +254,22 @@ def test_no_two_processes_train_one_seed(tmp_path):
     assert not metrics_path(job.run, 0).exists()
 
 
-def test_auto_layout_takes_workers_on_a_cpu():
+def test_auto_placement_takes_workers_on_a_cpu():
     config = load(None, SETTINGS)
-    assert loop.choose_layout(config) == "workers"
-    assert loop.choose_layout(dataclasses.replace(config, layout="vmap")) == "vmap"
+    assert loop.choose_placement(config) == "workers"
+    assert loop.choose_placement(dataclasses.replace(config, placement="vmap")) == "vmap"
 
 
-def test_auto_layout_takes_all_accelerators(monkeypatch):
+def test_auto_placement_takes_all_accelerators(monkeypatch):
     config = load(None, SETTINGS)
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
-    assert loop.choose_layout(config) == "vmap"
+    assert loop.choose_placement(config) == "vmap"
     monkeypatch.setattr(jax, "local_device_count", lambda: 2)
-    assert loop.choose_layout(config) == "sharded"
+    assert loop.choose_placement(config) == "sharded"
 
 
 def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path, monkeypatch):
-    job, events = make_job(tmp_path / "run", layout="vmap")
+    job, events = make_job(tmp_path / "run", placement="vmap")
     programs = loop.compiled(job.env, job.algorithm, job.config.eval_episodes, 3, "vmap")
     together = programs.memory_bytes
     monkeypatch.setattr(host_memory, "available_bytes", lambda: together - 1)
@@ -284,7 +284,7 @@ def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path,
 
 
 def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch):
-    job, _ = make_job(tmp_path / "run", layout="vmap", total_env_steps=40)
+    job, _ = make_job(tmp_path / "run", placement="vmap", total_env_steps=40)
     monkeypatch.setattr(host_memory, "seeds_at_once", lambda count, _: 2)
     asked = iter([False, True])  # Before the only stretch of seeds 0 and 1, then before seed 2.
     results = train_seeds(job._replace(should_stop=lambda: next(asked)), [0, 1, 2])

@@ -32,7 +32,7 @@ def plays(monkeypatch):
     """
     calls, scores = [], {}
 
-    def pretend(config, options, words, seeds, layout, watcher):
+    def pretend(config, options, words, seeds, placement, watcher):
         run = options.run_dir
         calls.append((run.name, config, options, words))
         score = scores.get(run.name, 0.0)

@@ -100,8 +100,8 @@ MISTAKES = [
     ({"eval_interval": 0}, "eval_interval must be between 1 and 4611686018427387904, got 0"),
     ({"eval_interval": Text("nan")}, "eval_interval must be a whole number, got nan"),
     (
-        {"layout": "wokers"},
-        "layout must be one of auto, workers, vmap, map, sharded; got 'wokers' (did you",
+        {"placement": "wokers"},
+        "placement must be one of auto, workers, vmap, map, sharded; got 'wokers' (did you",
     ),
     ({"env.observation": "onehot"}, "env.observation must be one of codes, one_hot; got 'onehot'"),
     ({"env.max_steps": 0}, "env.max_steps must be at least 1, got 0"),
@@ -221,7 +221,7 @@ NONSENSE = [
     ("[algorithm.ppo]\nhuber_delta = 1e39", "algorithm.ppo.huber_delta must be at most 3.4e+38"),
     ("[algorithm]\nnum_skills = 1e9", "algorithm.num_skills must be between 1 and 1024"),
     ('"a\\nb" = 3', "unknown key 'a\\nb' (known: env"),
-    (f'layout = "{"x" * 10_000}"', "layout must be one of auto, "),
+    (f'placement = "{"x" * 10_000}"', "placement must be one of auto, "),
 ]
 
 

@@ -41,7 +41,7 @@ LOOKS = {
 def whole(tmp_path_factory):
     """Train two seeds to their end and return the run folder."""
     run = tmp_path_factory.mktemp("whole") / "run"
-    assert main(["seed_sweep", "--run-dir", str(run), *words(num_seeds=2, layout="map")]) == 0
+    assert main(["seed_sweep", "--run-dir", str(run), *words(num_seeds=2, placement="map")]) == 0
     return run
 
 

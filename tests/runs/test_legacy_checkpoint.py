@@ -28,6 +28,7 @@ def test_is_read_exactly(run):
     trained = load_run(run)
     state = trained.state
     assert trained.env_steps == 80
+    assert trained.config.placement == "auto"  # recorded under its former name `layout`
     assert int(state.num_updates) == 4
     assert state.fragile.dtype == bool
     bits = np.asarray(state.learner.params["w"]).view(np.uint32)

@@ -177,6 +177,7 @@ def test_only_the_same_search_is_joined(tmp_path):
             join(folder, **more)
         assert "is another search" in str(error.value)
         assert message in str(error.value)
+    assert join(folder, 9, placement="vmap").trials == 9
     assert join(folder, 9, layout="vmap").trials == 9
 
 

@@ -66,10 +66,10 @@ def sweep(start_two):
     return sweep
 
 
-@pytest.mark.parametrize("layout", ["workers", "vmap"])
-def test_two_processes_share_the_seeds_and_make_one_run(layout, sweep, tmp_path):
+@pytest.mark.parametrize("placement", ["workers", "vmap"])
+def test_two_processes_share_the_seeds_and_make_one_run(placement, sweep, tmp_path):
     run = tmp_path / "run"
-    codes, ((out, err), (quiet, _)) = sweep(run, *WORDS, "--layout", layout)
+    codes, ((out, err), (quiet, _)) = sweep(run, *WORDS, "--placement", placement)
     assert codes == [0, 0], err
     assert seeds_of(run) == [0, 1, 2]
     assert "2 processes (this one trains and shows 0, 2)" in out
@@ -104,7 +104,7 @@ def test_processes_on_the_same_cores_share_them_out(places, shares):
 def test_told_to_stop_the_first_process_waits_until_the_others_have_saved(start_two, tmp_path):
     run, total = tmp_path / "run", 80 * 300
     steps = words(total_env_steps=total, num_seeds=2)
-    first, second = start_two(run, *steps, "--layout", "vmap")
+    first, second = start_two(run, *steps, "--placement", "vmap")
     wait_until(lambda: latest(run, 1) > 0, second)
     second.send_signal(signal.SIGSTOP)  # The first process ends while the second still trains.
     wait_until(lambda: latest(run, 0) == total, first)

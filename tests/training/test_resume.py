@@ -1,12 +1,14 @@
 """A run that is interrupted in any way and resumed equals an uninterrupted one."""
 
 import errno
+import json
 import os
 
+import numpy as np
 import pytest
 
 from hmasd_jax.cli.main import main
-from hmasd_jax.config import build, load
+from hmasd_jax.config import RENAMED, build, load
 from hmasd_jax.runs import checkpoint, metrics_log
 from hmasd_jax.runs.checkpoint import CheckpointError
 from hmasd_jax.runs.folder import checkpoint_folder, create, metrics_path
@@ -15,6 +17,8 @@ from hmasd_jax.training.job import Job
 from hmasd_jax.training.loop import train_seeds
 from tests.helpers.processes import assert_same_state, latest
 from tests.helpers.toy import SETTINGS, numbers, words
+
+FORMER = {new: old for old, new in RENAMED.items()}
 
 
 def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
@@ -107,10 +111,10 @@ def test_another_configuration_is_refused_by_name(finished, capsys):
 
 
 def test_a_finished_run_can_be_trained_further_and_with_more_seeds(finished, tmp_path, capsys):
-    further = ["--total-env-steps", "320", "--num-seeds", "2", "--layout", "map"]
+    further = ["--total-env-steps", "320", "--num-seeds", "2", "--placement", "map"]
     assert main(["seed_sweep", "--run-dir", str(finished), "--resume", *further]) == 0
     at_once = tmp_path / "at_once"
-    settings = words(total_env_steps=320, num_seeds=2, layout="map")
+    settings = words(total_env_steps=320, num_seeds=2, placement="map")
     assert main(["seed_sweep", "--run-dir", str(at_once), *settings]) == 0
     for seed in range(2):
         assert numbers(finished, seed) == numbers(at_once, seed)
@@ -120,6 +124,36 @@ def test_a_finished_run_can_be_trained_further_and_with_more_seeds(finished, tmp
     less = ["--resume", "--total-env-steps", "160"]
     assert main(["train", "--run-dir", str(finished), *less]) == 2
     assert "total_env_steps 320, which can be raised but not lowered" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["layout", "placement"])
+def test_a_run_from_before_a_setting_was_renamed_is_resumed(name, finished, capsys):
+    with_former_names(finished)
+    assert load_run(finished, 0).env_steps == 160
+    command = ["train", "--run-dir", str(finished), "--resume", f"--{name}", "vmap"]
+    assert main([*command, "--seed", "5"]) == 2
+    assert ": seed (was 0, now 5); resume without" in capsys.readouterr().err
+    assert main([*command, "--total-env-steps", "320"]) == 0
+    assert latest(finished, 0) == 320
+    table = json.loads((finished / "config.json").read_text())
+    assert table["placement"] == "vmap"
+    assert "layout" not in table
+
+
+def with_former_names(run):
+    """Write the configurations of a run and its checkpoints as before settings were renamed."""
+
+    def rename(table):
+        return {FORMER.get(name, name): value for name, value in table.items()}
+
+    path = run / "config.json"
+    path.write_text(json.dumps(rename(json.loads(path.read_text()))))
+    for path in checkpoint_folder(run, 0).glob("*.npz"):
+        with np.load(path) as file:
+            arrays = dict(file)
+        config = rename(json.loads(arrays.pop("config").item()))
+        assert "layout" in config
+        np.savez(path, config=np.array(json.dumps(config)), **arrays)
 
 
 def test_metrics_after_the_checkpoint_are_dropped(finished):

@@ -18,7 +18,7 @@ def test_two_processes_share_a_search_and_one_continues_what_the_other_left(star
     """Kill one of two processes in a trial; the other one takes it up and loses nothing."""
     folder = tmp_path / "s"
     more = [
-        *words(total_env_steps=8_000, eval_interval=800, num_seeds=1, layout="vmap"),
+        *words(total_env_steps=8_000, eval_interval=800, num_seeds=1, placement="vmap"),
         *("--vary", "algorithm.ppo.clip_epsilon=0.1:0.3", "--trials", "3", "--prune-after", "9"),
     ]
     one, two = (start("tune", folder, *more) for _ in range(2))

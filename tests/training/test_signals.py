@@ -116,7 +116,7 @@ def test_sigterm_to_all_processes_saves_every_seed(start, tmp_path):
 def test_a_sweep_terminated_before_it_trains_is_interrupted(start, tmp_path):
     """Send SIGTERM while the workers still import JAX."""
     run = tmp_path / "run"
-    process = start("seed_sweep", run, *words(num_seeds=1, layout="workers"))
+    process = start("seed_sweep", run, *words(num_seeds=1, placement="workers"))
     wait_until(lambda: children_of(process), process)
     os.killpg(process.pid, signal.SIGTERM)
     text = process.output()
@@ -127,7 +127,7 @@ def test_a_sweep_terminated_before_it_trains_is_interrupted(start, tmp_path):
 
 def test_a_worker_that_is_terminated_alone_saves_and_is_replaced(start, tmp_path):
     run = tmp_path / "run"
-    settings = words(total_env_steps=ENDLESS, num_seeds=2, layout="workers")
+    settings = words(total_env_steps=ENDLESS, num_seeds=2, placement="workers")
     cores = available_cores()
     os.sched_setaffinity(0, cores[:1])  # One core, hence one worker, while seed 1 waits.
     try:

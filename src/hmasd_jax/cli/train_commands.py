@@ -27,7 +27,7 @@ from hmasd_jax.training import distributed
 from hmasd_jax.training.distributed import ALONE, Group
 from hmasd_jax.training.executable_cache import use_cache
 from hmasd_jax.training.job import Event, Job, Watcher
-from hmasd_jax.training.loop import choose_layout, train_seeds
+from hmasd_jax.training.loop import choose_placement, train_seeds
 from hmasd_jax.training.progress import Display
 from hmasd_jax.training.schedule import make_plan
 from hmasd_jax.training.workers import run_workers, worker_cores
@@ -38,10 +38,10 @@ FAILED = 1
 
 def train(config: TrainConfig, options: TrainOptions, words: list[str]) -> int:
     """Train one seed and return the exit code."""
-    layout = "workers" if config.layout == "workers" else "this process"
+    placement = "workers" if config.placement == "workers" else "this process"
     index = choose_seed(options)
     options = dataclasses.replace(options, seed_index=index)
-    return _experiment(config, options, words, [index], layout)
+    return _experiment(config, options, words, [index], placement)
 
 
 def choose_seed(options: TrainOptions) -> int:
@@ -66,7 +66,7 @@ def seed_sweep(config: TrainConfig, options: SweepOptions, words: list[str]) -> 
         raise RunError("--distributed needs --run-dir, a folder that all processes can see")
     group = distributed.join() if options.distributed else ALONE
     seeds = list(range(config.num_seeds))
-    return _experiment(config, options, words, seeds, choose_layout(config), group)
+    return _experiment(config, options, words, seeds, choose_placement(config), group)
 
 
 def _experiment(
@@ -74,7 +74,7 @@ def _experiment(
     options: RunOptions,
     words: list[str],
     seeds: list[int],
-    layout: str,
+    placement: str,
     group: Group = ALONE,
 ) -> int:
     """Prepare the run folder, train and summarize; return the exit code.
@@ -83,7 +83,7 @@ def _experiment(
     """
     run = options.run_dir or default_folder(config)
     options = dataclasses.replace(options, run_dir=run)
-    results = run_seeds(config, options, words, seeds, layout, group)
+    results = run_seeds(config, options, words, seeds, placement, group)
     if not group.leads:
         return exit_code(results)
     again = shlex.join([words[0], "--run-dir", str(run), "--resume", *options.repeated])
@@ -95,7 +95,7 @@ def run_seeds(
     options: RunOptions,
     words: list[str],
     seeds: list[int],
-    layout: str,
+    placement: str,
     group: Group = ALONE,
     watcher: Watcher | None = None,
 ) -> dict[int, Event]:
@@ -106,7 +106,7 @@ def run_seeds(
         options: Options of the command, `run_dir` included.
         words: Command line, the command's name first.
         seeds: Indices of the seeds, those of other processes included.
-        layout: Layout of the seeds; `workers` starts processes, any other trains in this one.
+        placement: Placement of the seeds; `workers` starts processes, any other trains in this one.
         group: Processes that share the seeds.
         watcher: Follows the training and may end it.
     """
@@ -117,7 +117,7 @@ def run_seeds(
     _prepare(run, config, options.resume, shell_command(words), group)
     distributed.leave(group)
     mine = group.share(seeds)
-    text = describe(config, seeds, run, layout, group)
+    text = describe(config, seeds, run, placement, group)
     for line in filter(None, (text, use_cache())):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
     display = Display(console, mine, make_plan(config).env_steps)
@@ -138,7 +138,7 @@ def run_seeds(
             should_stop=lambda: interrupted() or (watcher is not None and watcher.should_stop()),
         )
         with display:
-            if layout == "workers":
+            if placement == "workers":
                 results = run_workers(job, mine, worker_cores(len(mine)))
             else:
                 results = train_seeds(job, mine)
@@ -184,21 +184,21 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
 
 
 def describe(
-    config: TrainConfig, seeds: list[int], run: Path, layout: str, group: Group = ALONE
+    config: TrainConfig, seeds: list[int], run: Path, placement: str, group: Group = ALONE
 ) -> str:
     """Return the lines that a run starts with: its folder, task, seeds and intervals."""
     plan = make_plan(config)
-    if layout == "workers":
+    if placement == "workers":
         workers = len(worker_cores(len(group.share(seeds))))
-        layout += f" ({workers} single-threaded processes)"
+        placement += f" ({workers} single-threaded processes)"
     if group.size > 1:
         shown = ", ".join(map(str, group.share(seeds)))
-        layout += f", {group.size} processes (this one trains and shows {shown})"
+        placement += f", {group.size} processes (this one trains and shows {shown})"
     per_update, names = plan.env_steps_per_update, to_json(config)
     lines = [
         f"run folder       {run}",
         f"task             {names['algorithm']['name']} on {names['env']['name']}",
-        f"seeds            {len(seeds)} ({', '.join(map(str, seeds))}), layout {layout}",
+        f"seeds            {len(seeds)} ({', '.join(map(str, seeds))}), placement {placement}",
         f"updates          {plan.num_updates:,} of {per_update:,} env steps",
         f"env steps        {plan.env_steps:,} per seed",
         f"evaluations      {plan.num_evaluations} of {config.eval_episodes} episodes, "

@@ -32,7 +32,7 @@ from hmasd_jax.search.study import (
     trial_folder,
 )
 from hmasd_jax.search.tables import compare_best, count_states
-from hmasd_jax.training.loop import choose_layout
+from hmasd_jax.training.loop import choose_placement
 from hmasd_jax.training.workers import worker_cores
 
 if TYPE_CHECKING:
@@ -104,8 +104,8 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
         trials.repeat(search, trial, twin)
         say(console, f"trial {trial.number} has the values and so the score of trial {twin.number}")
         return 0
-    layout, num_seeds = choose_layout(config), config.num_seeds
-    at_once = len(worker_cores(num_seeds)) if layout == "workers" else num_seeds
+    placement, num_seeds = choose_placement(config), config.num_seeds
+    at_once = len(worker_cores(num_seeds)) if placement == "workers" else num_seeds
     pruner = trials.Pruner(search, trial, config, at_once)
     run = trial_folder(search.folder, trial.number)
     sweep = SweepOptions(
@@ -113,7 +113,7 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
     )
     words = _command(search, values, run)
     try:
-        results = run_seeds(config, sweep, words, list(range(num_seeds)), layout, watcher=pruner)
+        results = run_seeds(config, sweep, words, list(range(num_seeds)), placement, watcher=pruner)
     except jax.errors.JaxRuntimeError as error:  # Most often, too little memory.
         return _fail(search, trial, str(error).splitlines()[0], console)
     summary.write(run, results)

@@ -1,7 +1,8 @@
 """Configuration of a run: frozen dataclasses from files and command lines."""
 
 from hmasd_jax.config.train_config import (
-    Layout,
+    RENAMED,
+    Placement,
     TrainConfig,
     build,
     change,
@@ -17,8 +18,9 @@ from hmasd_jax.config.train_config import (
 from hmasd_jax.validation import ConfigError
 
 __all__ = [
+    "RENAMED",
     "ConfigError",
-    "Layout",
+    "Placement",
     "TrainConfig",
     "build",
     "change",

@@ -25,12 +25,14 @@ from hmasd_jax.validation import (
 
 EnvT = TypeVar("EnvT")
 AlgorithmT = TypeVar("AlgorithmT")
-Layout = Literal["auto", "workers", "vmap", "map", "sharded"]
+Placement = Literal["auto", "workers", "vmap", "map", "sharded"]
 DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 
-EXTENSIBLE = ("total_env_steps", "num_seeds", "layout")
+EXTENSIBLE = ("total_env_steps", "num_seeds", "placement")
 """Settings of `TrainConfig` that may change when a run is resumed; no trained number depends on
 them."""
+RENAMED = {"layout": "placement"}
+"""Former names of settings of `TrainConfig`, which are still read, with the names they have now."""
 
 
 @dataclass(frozen=True)
@@ -61,11 +63,11 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     """Seed of the experiment. Training run i of a sweep uses `fold_in(key(seed), i)`."""
     num_seeds: int = 5
     """Number of training runs of a sweep; `train` runs one of them."""
-    layout: Layout = "auto"
-    """Layout of a sweep's seeds on the hardware: `workers`, one single-threaded process per core;
-    `vmap`, all at once in one program; `map`, one after the other in one program; `sharded`, over
-    all devices. `auto` chooses `workers` on a CPU, `vmap` on one accelerator and `sharded` on
-    several. The layout does not change the files of a run."""
+    placement: Placement = "auto"
+    """Placement of a sweep's seeds on the hardware: `workers`, one single-threaded process per
+    core; `vmap`, all at once in one program; `map`, one after the other in one program; `sharded`,
+    over all devices. `auto` chooses `workers` on a CPU, `vmap` on one accelerator and `sharded` on
+    several. The placement does not change the files of a run."""
 
     def __post_init__(self) -> None:
         intervals = ("eval_interval", "log_interval", "checkpoint_interval")
@@ -118,19 +120,21 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
     return from_json(override(read_table(Path(path)) if path is not None else {}, overrides or {}))
 
 
-def override(table: dict[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Put values by dotted name into nested tables, in place.
+def override(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables with values by dotted name put into them.
 
     A new `env.name` or `algorithm.name` clears that table first, because its settings belong to
     another class.
 
     Args:
-        table: Nested tables as in a file; it is changed and returned.
+        table: Nested tables as in a file. The inner ones are changed in place.
         overrides: Values by dotted name.
 
     Raises:
-        ConfigError: A dotted name passes through a value that is not a table.
+        ConfigError: A dotted name passes through a value that is not a table, or a setting is given
+            by its former name and by the new one.
     """
+    table, overrides = _rename(table), _rename(overrides)
     for section in ("env", "algorithm"):
         name = overrides.get(f"{section}.name")
         if name is not None and str(name) != subtable(table, section).get(
@@ -154,6 +158,7 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
     Raises:
         ConfigError: A key or name is unknown, or a value has the wrong type or is out of range.
     """
+    table = _rename(table)
     env, algorithm = subtable(table, "env"), subtable(table, "algorithm")
     env_type = _find(env.pop("name", DEFAULT_NAMES["env"]), ENVIRONMENTS, "env.name")
     name = algorithm.pop("name", DEFAULT_NAMES["algorithm"])
@@ -163,6 +168,18 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
         "algorithm": from_table(entry.config, algorithm, "algorithm"),
     }
     return from_table(TrainConfig, {**table, **built})
+
+
+def _rename(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings, from a file or by dotted name, with the names that they have now.
+
+    Raises:
+        ConfigError: A setting is given by its former name and by the new one.
+    """
+    for old, new in RENAMED.items():
+        if old in settings and new in settings:
+            raise ConfigError(f"{old} is the former name of {new}: give only {new}")
+    return {RENAMED.get(name, name): value for name, value in settings.items()}
 
 
 def change(config: TrainConfig, values: Mapping[str, Any]) -> TrainConfig:
@@ -187,7 +204,8 @@ def to_json(config: TrainConfig) -> dict[str, Any]:
 
 def identity(table: dict[str, Any]) -> dict[str, Any]:
     """Return by dotted name the settings that resuming must not change: all but `EXTENSIBLE`."""
-    return {name: value for name, value in _flatten(table).items() if name not in EXTENSIBLE}
+    flat = _flatten(_rename(table))
+    return {name: value for name, value in flat.items() if name not in EXTENSIBLE}
 
 
 def name_differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

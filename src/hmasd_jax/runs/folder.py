@@ -1,4 +1,4 @@
-"""The folder of a run. It has the same files in every layout of the seeds.
+"""The folder of a run. It has the same files in every placement of the seeds.
 
 - `config.json`: the resolved configuration.
 - `run.json`: commands, commit, versions and hardware.

@@ -15,7 +15,7 @@ from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.training.executable_cache import load_or_compile
 from hmasd_jax.types import Algorithm, Key, Learner, Metrics
 
-BatchLayout = Literal["vmap", "map", "sharded"]
+BatchPlacement = Literal["vmap", "map", "sharded"]
 
 EVALUATION = 2**31
 """Number folded into the experiment's key for evaluations. For training it is the index of a seed,
@@ -68,7 +68,7 @@ def compile_programs(
     algorithm: Algorithm,
     eval_episodes: int,
     num_seeds: int,
-    layout: BatchLayout,
+    placement: BatchPlacement,
 ) -> Programs:
     """Compile all programs that train `num_seeds` seeds at once.
 
@@ -77,8 +77,8 @@ def compile_programs(
         algorithm: Algorithm to train.
         eval_episodes: Episodes per evaluation and seed.
         num_seeds: Number of seeds. For `sharded`, a multiple of `jax.local_device_count()`.
-        layout: Layout of the seeds: all at once (`vmap`), one after the other (`map`), or over all
-            devices of this process (`sharded`).
+        placement: Placement of the seeds: all at once (`vmap`), one after the other (`map`), or
+            over all devices of this process (`sharded`).
     """
     start = time.perf_counter()
     update = jax.jit(algorithm.update)  # traced once although used twice below
@@ -99,11 +99,11 @@ def compile_programs(
         return evaluate(env, algorithm.policy(state, greedy=True), key, eval_episodes)
 
     keys = jax.random.split(jax.random.key(0), num_seeds)
-    init_seeds = jax.jit(batched(algorithm.init, num_seeds, layout))
+    init_seeds = jax.jit(batched(algorithm.init, num_seeds, placement))
     states = jax.eval_shape(init_seeds, keys)
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    advance_seeds = jax.jit(batched(advance, num_seeds, layout, (0, None)), donate_argnums=0)
-    evaluate_seeds = jax.jit(batched(play, num_seeds, layout, (0, 0)))
+    advance_seeds = jax.jit(batched(advance, num_seeds, placement, (0, None)), donate_argnums=0)
+    evaluate_seeds = jax.jit(batched(play, num_seeds, placement, (0, 0)))
     lowered = (
         lower(init_seeds, keys),
         lower(advance_seeds, states, count),
@@ -190,7 +190,7 @@ def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
 def batched(
     function: Callable,
     num_seeds: int,
-    layout: BatchLayout = "vmap",
+    placement: BatchPlacement = "vmap",
     in_axes: Sequence[int | None] = (0,),
 ) -> Callable:
     """Map `function` over a leading axis of seeds.
@@ -201,13 +201,13 @@ def batched(
     Args:
         function: Function of one seed.
         num_seeds: Size of the leading axis.
-        layout: Layout of the seeds.
+        placement: Placement of the seeds.
         in_axes: 0 for each argument with an axis of seeds, None for each that all seeds share.
     """
     in_axes = tuple(in_axes)
-    if layout == "sharded":
+    if placement == "sharded":
         return _sharded(function, num_seeds, in_axes)
-    if num_seeds > 1 and layout == "vmap":
+    if num_seeds > 1 and placement == "vmap":
         return jax.vmap(function, in_axes)
 
     def over_seeds(*args):
@@ -232,7 +232,7 @@ def _sharded(function: Callable, num_seeds: int, in_axes: Sequence[int | None]) 
     devices = jax.local_devices()
     mesh = jax.sharding.Mesh(devices, ("seeds",))
     by_seed, shared = jax.P("seeds"), jax.P()
-    inner: BatchLayout = "map" if devices[0].platform == "cpu" else "vmap"
+    inner: BatchPlacement = "map" if devices[0].platform == "cpu" else "vmap"
     return jax.shard_map(
         batched(function, num_seeds // len(devices), inner, in_axes),
         mesh=mesh,

@@ -1,9 +1,9 @@
 """One sweep over several processes, e.g. one per node of a cluster.
 
 Seeds do not communicate. Each process trains its share of them on its own cores or accelerators, in
-the layout that it would choose alone. Processes that start on the same cores divide them. All write
-to the same run folder, which must be on a file system that all of them can see. The first process
-prepares the folder, displays its own seeds, and writes the summary when all have ended.
+the placement that it would choose alone. Processes that start on the same cores divide them. All
+write to the same run folder, which must be on a file system that all of them can see. The first
+process prepares the folder, displays its own seeds, and writes the summary when all have ended.
 
 The processes find each other through JAX's runtime, and leave it before they train. It would end
 all of them as soon as one dies, or when one ends five minutes before the others.

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from hmasd_jax.config import Layout, TrainConfig
+from hmasd_jax.config import Placement, TrainConfig
 from hmasd_jax.runs.checkpoint import CheckpointError, latest_step, state_template
 from hmasd_jax.runs.folder import RunError, lock
 from hmasd_jax.training import host_memory
@@ -82,20 +82,20 @@ def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
 
 
 def _programs(job: Job, num_seeds: int) -> Programs:
-    """Return the programs for at least `num_seeds` seeds in the layout of the run."""
-    layout = choose_layout(job.config)
-    if layout == "workers" or num_seeds == 1:
-        layout = "vmap"
-    if layout == "sharded":
+    """Return the programs for at least `num_seeds` seeds in the placement of the run."""
+    placement = choose_placement(job.config)
+    if placement == "workers" or num_seeds == 1:
+        placement = "vmap"
+    if placement == "sharded":
         devices = jax.local_device_count()
         num_seeds = -(-num_seeds // devices) * devices
-    return compiled(job.env, job.algorithm, job.config.eval_episodes, num_seeds, layout)
+    return compiled(job.env, job.algorithm, job.config.eval_episodes, num_seeds, placement)
 
 
-def choose_layout(config: TrainConfig) -> Layout:
-    """Return the layout of the run, with `auto` replaced by the one that suits this machine."""
-    if config.layout != "auto":
-        return config.layout
+def choose_placement(config: TrainConfig) -> Placement:
+    """Return the placement of the run, with `auto` replaced by the one that suits this machine."""
+    if config.placement != "auto":
+        return config.placement
     if jax.default_backend() == "cpu":
         return "workers"
     return "sharded" if jax.local_device_count() > 1 else "vmap"

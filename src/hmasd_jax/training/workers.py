@@ -1,9 +1,9 @@
-"""The layout `workers`: seeds over the cores of one machine.
+"""The placement `workers`: seeds over the cores of one machine.
 
 One single-threaded process per core trains one seed after the other. For networks of the paper's
 size this is the fastest way to use a CPU. Threads inside one process waste about a quarter of each
-core, and vmapping over seeds wastes more. In the other layouts, one program trains all seeds; see
-`compiled`.
+core, and vmapping over seeds wastes more. In the other placements, one program trains all seeds;
+see `compiled`.
 """
 
 import multiprocessing
