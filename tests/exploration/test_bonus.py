@@ -1,11 +1,17 @@
 """The sum of two exploration bonuses."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
+import envs_jax
+from hmasd_jax.baselines.mappo import MAPPOConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, add
+from hmasd_jax.rl.ppo import PPOConfig
 from tests.helpers.rollouts import outcome_of
 
 OUTCOME = outcome_of(jnp.arange(12.0).reshape(3, 2, 2))
@@ -31,6 +37,27 @@ def test_the_sum_pays_both_and_updates_each_on_its_own_state():
     assert_allclose(reward, jnp.full((3, 2), 5.0))
     _, reward, _ = both.update(state, OUTCOME, jax.random.key(2))
     assert_allclose(reward, 10.0)
+
+
+def test_the_share_of_unsolved_episodes_is_that_of_the_bonus_that_counts_them():
+    counting = constant(3.0, "b")._replace(unsolved=lambda count: count / 4)
+    for both, expected in [(add(constant(2.0, "a"), counting), 0.25), (NO_BONUS, 1.0)]:
+        assert both.unsolved(both.init(jax.random.key(0))) == expected
+
+
+@pytest.mark.parametrize(("unsolved", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
+def test_the_entropy_of_mappo_is_weighted_by_the_share_of_unsolved_episodes(unsolved, entropy_coef):
+    env = envs_jax.make("probe_match_cue")
+    ppo = PPOConfig(num_envs=4, rollout_length=10, num_epochs=2, hidden_size=8)
+    parts = mappo.make_parts(env, MAPPOConfig(entropy_coef=0.5, ppo=ppo))
+    state = mappo.init_state(parts, jax.random.key(0))
+
+    def params_after(parts):
+        return mappo.train_iteration(parts, state)[0].learner.params
+
+    fading = replace(parts, bonus=parts.bonus._replace(unsolved=lambda _: unsolved))
+    fixed = replace(parts, config=replace(parts.config, entropy_coef=entropy_coef))
+    jax.tree.map(assert_array_equal, params_after(fading), params_after(fixed))
 
 
 @pytest.mark.parametrize("other", [constant(2.0, "a"), NO_BONUS])

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -220,12 +221,25 @@ def test_no_key_is_used_twice(parts):
             jax.make_jaxpr(jax.jit(reuses))(jax.random.key(0))
 
 
-def test_the_low_entropy_weight_can_fall_linearly_to_zero(config):
-    decaying = replace(config, low_entropy_coef=0.4, low_entropy_decay_updates=4)
-    values = [low_entropy_coef(decaying, jnp.int32(n)) for n in (0, 1, 3, 4, 9)]
+def entropy_weight(parts, num_updates, bonus_state=(), **changes):
+    """Return lambda_l after a number of updates, with other settings."""
+    parts = replace(parts, config=replace(parts.config, low_entropy_coef=0.4, **changes))
+    return low_entropy_coef(
+        parts, SimpleNamespace(num_updates=jnp.int32(num_updates), bonus=bonus_state)
+    )
+
+
+def test_the_low_entropy_weight_can_fall_linearly_to_zero(parts):
+    values = [entropy_weight(parts, n, low_entropy_decay_updates=4) for n in (0, 1, 3, 4, 9)]
     assert_allclose(values, [0.4, 0.3, 0.1, 0.0, 0.0], atol=1e-6)
-    constant = replace(config, low_entropy_coef=0.4, low_entropy_decay_updates=0)
-    assert low_entropy_coef(constant, jnp.int32(9)) == 0.4
+    assert entropy_weight(parts, 9, low_entropy_decay_updates=0) == 0.4
+
+
+def test_the_low_entropy_weight_falls_with_success_where_a_bonus_counts_it(parts):
+    counting = replace(parts, bonus=parts.bonus._replace(unsolved=lambda share: share))
+    assert_allclose(entropy_weight(counting, 9, jnp.float32(0.25)), 0.1)
+    half = entropy_weight(counting, 2, jnp.float32(0.25), low_entropy_decay_updates=4)
+    assert_allclose(half, 0.05)
 
 
 def test_a_rollout_must_be_a_whole_number_of_segments(config):

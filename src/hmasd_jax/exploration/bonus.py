@@ -11,14 +11,23 @@ from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
+def always(bonus_state: Any) -> float:
+    """Return 1, for a bonus that does not count which episodes are solved."""
+    del bonus_state
+    return 1.0
+
+
 class Bonus(NamedTuple):
-    """An exploration bonus as two pure functions."""
+    """An exploration bonus as pure functions."""
 
     init: Callable[[Key], Any]
     """`init(key)`: state before the first rollout."""
     update: Callable[[Any, TimeStep, Key], tuple[Any, Float[Array, "T E"], Metrics]]
     """`update(bonus_state, outcome, key)`: the next state, the weighted bonus for each state that a
     rollout reached, and metrics. `outcome` is (T, E), before any reset."""
+    unsolved: Callable[[Any], float | Float[Array, ""]] = always
+    """`unsolved(bonus_state)`: the share of recent episodes that no reward ended. The entropy of
+    actions is weighted by it, since a team that solves its task need not act by chance."""
 
 
 NO_BONUS = Bonus(
@@ -44,4 +53,7 @@ def add(first: Bonus, second: Bonus) -> Bonus:
         other, more_reward, more_metrics = second.update(pair[1], outcome, keys[1])
         return (one, other), reward + more_reward, metrics | more_metrics
 
-    return Bonus(init, update)
+    def unsolved(pair):
+        return first.unsolved(pair[0]) * second.unsolved(pair[1])
+
+    return Bonus(init, update, unsolved)

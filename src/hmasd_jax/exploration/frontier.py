@@ -23,6 +23,9 @@ The bonus is multiplied by the chance that rewards end no episode of a batch, on
 environment. A team that has found out how to win learns from reward alone. Where rewards end no
 episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
 earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
+
+The entropy of actions, which also explores, is weighted by the share of episodes that no reward
+ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
 from dataclasses import dataclass
@@ -122,12 +125,17 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         worth = odds_against(frontier.mastered, config.largest_worth)
         bonus = jnp.where(is_first, worth, 0.0).sum((-3, -2, -1))
         seen = moments.update(frontier.bonuses, bonus)
-        all_fail = (1.0 - frontier.successes / frontier.episodes) ** num_envs
+        all_fail = unsolved(frontier) ** num_envs
         unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    return Bonus(init, update)
+    return Bonus(init, update, unsolved)
+
+
+def unsolved(frontier: Frontier) -> Float[Array, ""]:
+    """Return the share of recent episodes that no reward ended."""
+    return 1.0 - frontier.successes / frontier.episodes
 
 
 def explore(

@@ -174,12 +174,14 @@ def exploration_reward(
     return bonus_state, distance + bonus[..., None], metrics | bonus_metrics
 
 
-def low_entropy_coef(config: HMASDConfig, num_updates: Int[Array, ""]) -> float | Float[Array, ""]:
-    """Return lambda_l after `num_updates` updates."""
+def low_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
+    """Return lambda_l, which may fall with updates, or with an exploration bonus with success."""
+    config = parts.config
+    coef = config.low_entropy_coef * parts.bonus.unsolved(state.bonus)
     if not config.low_entropy_decay_updates:
-        return config.low_entropy_coef
-    remaining = 1.0 - num_updates / config.low_entropy_decay_updates
-    return config.low_entropy_coef * jnp.maximum(remaining, 0.0)
+        return coef
+    remaining = 1.0 - state.num_updates / config.low_entropy_decay_updates
+    return coef * jnp.maximum(remaining, 0.0)
 
 
 def train_coordinator(
@@ -200,7 +202,7 @@ def train_discoverer(
     parts: Parts, state: HMASDState, batch: SequenceBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 7 for the configured epochs."""
-    entropy_coef = low_entropy_coef(parts.config, state.num_updates)
+    entropy_coef = low_entropy_coef(parts, state)
 
     def loss_fn(params, norm, batch):
         return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)

@@ -182,16 +182,23 @@ def make_batch(
 
 
 def mappo_loss(
-    parts: Parts, params: dict, norm: ValueNorm, batch: SequenceBatch
+    parts: Parts,
+    params: dict,
+    norm: ValueNorm,
+    batch: SequenceBatch,
+    entropy_coef: float | Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, ""], Metrics]:
     """Return the clipped policy loss minus the entropy, plus the clipped value loss.
 
     Policy loss and entropy are means over the agents that have a choice, the value loss over all.
     On-policy uses two losses and two optimizers, here they are one. The steps are the same, since
-    nothing is shared and each network is clipped by its own norm.
+    nothing is shared and each network is clipped by its own norm. `entropy_coef` overrides that of
+    the configuration.
     """
     config = parts.config
-    return sequence_loss(params, parts.networks, norm, batch, config.ppo, config.entropy_coef)
+    if entropy_coef is None:
+        entropy_coef = config.entropy_coef
+    return sequence_loss(params, parts.networks, norm, batch, config.ppo, entropy_coef)
 
 
 def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metrics]:
@@ -208,9 +215,10 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     )
     reward = (transitions.outcome.reward + bonus)[..., None]
     batch = make_batch(parts, state, transitions, env, memory.critic, reward)
+    entropy_coef = parts.config.entropy_coef * parts.bonus.unsolved(state.bonus)
     learner, norm, metrics = ppo_epochs(
-        parts.optimizer, partial(mappo_loss, parts), state.learner, state.norm, batch, key_epochs,
-        ppo,
+        parts.optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
+        state.norm, batch, key_epochs, ppo,
     )  # fmt: skip
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
     learner, imitation_metrics = parts.imitation.train(successes, learner)
