@@ -49,7 +49,8 @@ class FrontierConfig:
 
     coef: float = 0.0
     """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far
-    times the largest mean return of an episode so far, at least 1. With 0 there is none."""
+    times the largest mean return of an episode so far, at least 1. With 0 there is none, and the
+    entropy of actions does not fade."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
     largest_worth: float = 100.0
