@@ -4,6 +4,10 @@ A ring buffer keeps sequences that led to reward. After each update of PPO the a
 gradient steps towards the stored actions, weighted by the discounted reward that followed. The
 weights are averaged over the whole buffer, so that one lucky rollout in an empty buffer pulls
 little.
+
+A team that has just learned to win often does so greedily long before it does by chance: one action
+at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
+may act greedily, so that there are successes to imitate.
 """
 
 from collections.abc import Callable
@@ -36,10 +40,21 @@ class ImitationConfig:
     """Sequences in the buffer. New ones replace the oldest."""
     inserts: int = 48
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
+    greedy_copies: int = 0
+    """Copies of the environment that take the most likely actions and skills in training."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
         check_range(self, "steps", "capacity", "inserts", low=1)
+        check_range(self, "greedy_copies", low=0)
+
+    def check_copies(self, num_envs: int) -> None:
+        """Raise an error unless some of `num_envs` copies are left to explore."""
+        if self.greedy_copies >= num_envs:
+            raise ValueError(
+                f"imitation.greedy_copies must be less than ppo.num_envs = {num_envs}, got "
+                f"{self.greedy_copies}"
+            )
 
 
 class StoredSteps(NamedTuple):
@@ -73,6 +88,16 @@ class Imitation(NamedTuple):
     """`store(successes, batch, transitions, key)`: keep the successes of a rollout."""
     train: Callable[[Any, Learner], tuple[Learner, Metrics]]
     """`train(successes, learner)`: take gradient steps towards what is stored."""
+
+
+def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, " E"]:
+    """Mark the copies that act greedily; False if there is none."""
+    return jnp.arange(num_envs) < config.greedy_copies if config.greedy_copies else False
+
+
+def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
+    """Return `greedy` with an axis for the agents."""
+    return greedy if isinstance(greedy, bool) else greedy[:, None]
 
 
 NO_IMITATION = Imitation(

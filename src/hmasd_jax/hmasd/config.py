@@ -111,6 +111,7 @@ class HMASDConfig:
             check_multiple(
                 "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
             )
+        self.imitation.check_copies(ppo.num_envs)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
         # The coordinator's samples are segments, fewer than the sequences of the low level.
         check_divides(

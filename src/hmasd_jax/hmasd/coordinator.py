@@ -111,7 +111,7 @@ def assign(
     state: Float[Array, "*batch state"],
     obs: Float[Array, "*batch N obs"],
     key: Key,
-    greedy: bool = False,
+    greedy: bool | Bool[Array, "*batch"] = False,
     allowed: Bool[Array, "tokens skills"] | None = None,
 ) -> Assignment:
     """Algorithm 1, "Sample skills": draw Z ~ pi_h(.|s, o), then each z^i given those before it.
@@ -122,7 +122,7 @@ def assign(
         state: global state.
         obs: observations of all agents.
         key: PRNG key of the draws.
-        greedy: if True, take the most likely skills instead of sampling.
+        greedy: where True, take the most likely skills instead of sampling.
         allowed: skills that each token may get, at least one per token; None allows all.
     """
     encoded, value = apply(network, params, state, obs, method="encode")
@@ -131,7 +131,7 @@ def assign(
         return apply(network, params, encoded, skills, method="decode")
 
     # Illegal skills have probability 0, so every draw is legal.
-    greedy = greedy and not network.always_samples
+    greedy = False if network.always_samples else greedy
     skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, allowed)
     return Assignment(skills=skills, log_prob=log_prob, value=value)
 

@@ -12,6 +12,7 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment
 from hmasd_jax.hmasd.discoverer import init_memory
 from hmasd_jax.hmasd.rollout_phase import blank_assignment, renew
+from hmasd_jax.rl.categorical import choose
 from hmasd_jax.types import Key, Policy
 
 
@@ -69,7 +70,7 @@ def make_policy(
             discoverer, memory.actor, timestep.obs, timestep.action_mask, first,
             assignment.individual_skills,
         )  # fmt: skip
-        action = distribution.mode() if greedy else distribution.sample(seed=key_act)
+        action = choose(distribution, greedy, key_act)
         memory = PolicyMemory(actor=actor, assignment=assignment, clock=clock + 1)
         return memory, action, assignment.skills
 

@@ -7,11 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
+from hmasd_jax.exploration.successes import greedy_copies, per_agent
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import init_memory
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
+from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.rollout import unroll
 from hmasd_jax.types import EnvCarry, Key, StepFn, Transition
 
@@ -91,7 +93,8 @@ def collect(
     )
     _, renewed = read_clock(config, memory.clock, env.first)
     state, obs = env.timestep.state, env.timestep.obs
-    fresh = assign(parts.coordinator, coordinator, state, obs, key_next)
+    greedy = greedy_copies(config.imitation, config.ppo.num_envs)
+    fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
         transitions=transitions,
@@ -111,13 +114,17 @@ def read_clock(
 
 
 def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
-    """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l."""
+    """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l.
+
+    Copies that act greedily take the most likely skills and actions.
+    """
+    greedy = greedy_copies(parts.config.imitation, parts.config.ppo.num_envs)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
         clock, renewed = read_clock(parts.config, memory.clock, first)
         assignment = renew(
-            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy=False
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy
         )
         actor, distribution = parts.discoverer.act(
             discoverer, memory.low.actor, timestep.obs, timestep.action_mask, first,
@@ -126,7 +133,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
         critic, value = parts.discoverer.value(
             discoverer, memory.low.critic, timestep.state, first, assignment.team_skill
         )
-        action = distribution.sample(seed=key_act)
+        action = choose(distribution, per_agent(greedy), key_act)
         extras = Extras(
             low=memory.low,
             log_prob=jnp.asarray(distribution.log_prob(action)),
@@ -147,7 +154,7 @@ def renew(
     timestep: TimeStep,
     renewed: Bool[Array, "*batch"],
     key: Key,
-    greedy: bool,
+    greedy: bool | Bool[Array, "*batch"],
     allowed: Bool[Array, "tokens skills"] | None = None,
 ) -> Assignment:
     """Return a fresh assignment where `renewed`, and the current one elsewhere."""

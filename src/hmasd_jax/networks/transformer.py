@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.networks.layer_norm import LayerNorm, NormedDense
 from hmasd_jax.networks.recurrent import RELU_GAIN, SMALL_GAIN, dense
-from hmasd_jax.rl.categorical import MASKED_LOGIT, categorical
+from hmasd_jax.rl.categorical import MASKED_LOGIT, categorical, choose
 from hmasd_jax.types import Key
 
 
@@ -164,7 +164,7 @@ def draw_in_turn(
     decode: Callable[[Int[Array, "*batch tokens"]], Float[Array, "*batch tokens choices"]],
     shape: tuple[int, ...],
     key: Key,
-    greedy: bool = False,
+    greedy: bool | Bool[Array, "*batch"] = False,
     allowed: Bool[Array, "tokens choices"] | None = None,
 ) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
     """Choose for one token after another, each given the choices before it.
@@ -174,7 +174,7 @@ def draw_in_turn(
             0..i-1 only.
         shape: (*batch, tokens).
         key: PRNG key of the draws.
-        greedy: if True, take the most likely choice instead of sampling.
+        greedy: where True, take the most likely choice instead of sampling.
         allowed: choices that each token may make, at least one per token; None allows all. A
             token makes an illegal choice if no other is allowed.
 
@@ -188,7 +188,7 @@ def draw_in_turn(
         distribution = limited = categorical(logits)
         if allowed is not None:  # Below the finite logit of illegal choices.
             limited = categorical(jnp.where(allowed[token], logits, -jnp.inf))
-        choice = limited.mode() if greedy else limited.sample(seed=key)
+        choice = choose(limited, greedy, key)
         return choices.at[..., token].set(choice), distribution.log_prob(choice)
 
     tokens = shape[-1]

@@ -3,7 +3,9 @@
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, Int
+
+from hmasd_jax.types import Key
 
 if TYPE_CHECKING:
     from distrax import Categorical
@@ -21,6 +23,15 @@ def categorical(logits: Float[Array, "*batch choices"]) -> "Categorical":
     from distrax import Categorical
 
     return Categorical(logits=logits)
+
+
+def choose(
+    distribution: "Categorical", greedy: bool | Bool[Array, "*#batch"], key: Key
+) -> Int[Array, "*batch"]:
+    """Sample from a distribution, or take its most likely value where `greedy`."""
+    if isinstance(greedy, bool):
+        return jnp.asarray(distribution.mode() if greedy else distribution.sample(seed=key))
+    return jnp.where(greedy, distribution.mode(), distribution.sample(seed=key))
 
 
 def mask_logits(

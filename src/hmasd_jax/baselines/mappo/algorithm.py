@@ -21,6 +21,7 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
+from hmasd_jax.exploration.successes import greedy_copies, per_agent
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
     SequenceBatch,
@@ -29,6 +30,7 @@ from hmasd_jax.networks.actor_critic import (
 )
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
+from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.rl.ppo import has_choice
 from hmasd_jax.rl.sgd import ppo_epochs
@@ -109,7 +111,7 @@ def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
         memory, distribution = parts.networks.act(
             params, memory, timestep.obs, timestep.action_mask, first
         )
-        action = distribution.mode() if greedy else distribution.sample(seed=key)
+        action = choose(distribution, greedy, key)
         return memory, action, ()
 
     return Policy(init, step)
@@ -117,6 +119,7 @@ def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
 
 def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
     """Build a step that samples actions and evaluates the critic, for training."""
+    greedy = greedy_copies(parts.config.imitation, parts.config.ppo.num_envs)
 
     def step(memory, timestep, first, key):
         actor, distribution = parts.networks.act(
@@ -124,7 +127,7 @@ def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
         )
         state = critic_input(parts.config, timestep)
         critic, value = parts.networks.value(params, memory.critic, state, first)
-        action = distribution.sample(seed=key)
+        action = choose(distribution, per_agent(greedy), key)
         log_prob = jnp.asarray(distribution.log_prob(action))
         extras = Extras(memory=memory, log_prob=log_prob, value=value)
         return ActorCriticMemory(actor=actor, critic=critic), action, extras

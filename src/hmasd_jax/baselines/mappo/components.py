@@ -46,6 +46,7 @@ class MAPPOConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
+        self.imitation.check_copies(self.ppo.num_envs)
 
 
 class Extras(NamedTuple):
