@@ -16,6 +16,7 @@ from hmasd_jax.exploration.successes import (
     insert,
     reward_to_come,
 )
+from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.actor_critic import ActorCriticMemory, SequenceBatch
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.types import Learner
@@ -122,3 +123,34 @@ def test_without_a_weight_nothing_is_stored():
     parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
     assert parts.imitation is NO_IMITATION
     assert parts.imitation.train((), Learner(1, 2)) == (Learner(1, 2), {})
+
+
+def test_the_first_copies_of_mappo_act_greedily_and_the_others_sample():
+    env = envs_jax.make("probe_match_cue")
+    ppo = PPOConfig(num_envs=8, rollout_length=10, hidden_size=8)
+
+    def act(copies):
+        config = MAPPOConfig(ppo=ppo, imitation=ImitationConfig(greedy_copies=copies))
+        parts = mappo.make_parts(env, config)
+        state = mappo.init_state(parts, jax.random.key(0))
+        step = mappo.act_and_evaluate(parts, state.learner.params)
+        carry = state.env
+        _, action, extras = step(state.memory, carry.timestep, carry.first, jax.random.key(1))
+        _, distribution = parts.networks.act(
+            state.learner.params, state.memory.actor, carry.timestep.obs,
+            carry.timestep.action_mask, carry.first,
+        )  # fmt: skip
+        assert_allclose(extras.log_prob, distribution.log_prob(action), atol=1e-6)
+        return action, distribution.mode()
+
+    (action, mode), (sampled, _) = act(6), act(0)
+    np.testing.assert_array_equal(action[:6], mode[:6])
+    np.testing.assert_array_equal(action[6:], sampled[6:])
+    assert (sampled != mode).any()
+
+
+@pytest.mark.parametrize("config", [MAPPOConfig, HMASDConfig])
+@pytest.mark.parametrize(("copies", "message"), [(32, "less than ppo.num_envs = 32"), (-1, "-1")])
+def test_some_copies_must_be_left_to_explore(config, copies, message):
+    with pytest.raises(ValueError, match=message):
+        config(imitation=ImitationConfig(greedy_copies=copies))

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
+from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rollout_phase import collect, read_clock
@@ -53,6 +54,37 @@ def test_values_and_log_probs_kept_are_those_of_the_draw(rollout, parts, trained
         for step in range(at, at + 5):
             assert_allclose(kept.log_prob[step], log_prob[at // 5], atol=1e-5)
             assert_allclose(kept.value[step], value[at // 5], atol=1e-5)
+
+
+def test_greedy_copies_take_the_most_likely_skills_and_actions(rollout, parts, trained):
+    config = replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
+    mixed = jax.jit(lambda *args: collect(replace(parts, config=config), *args))(
+        trained.coordinator.params,
+        trained.discoverer.params,
+        trained.env,
+        trained.memory,
+        jax.random.key(1),
+    )
+    steps, sampled = mixed.transitions, rollout.transitions
+    skills, timestep = steps.extras.assignment.skills, steps.timestep
+    logits, _ = parts.coordinator.apply(
+        trained.coordinator.params, timestep.state, timestep.obs, skills
+    )
+    begin = np.asarray(steps.extras.renewed)[:, :2]
+    np.testing.assert_array_equal(logits.argmax(-1)[:, :2][begin], skills[:, :2][begin])
+    _, distribution = jax.vmap(parts.discoverer.act, in_axes=(None, 0, 0, 0, 0, 0))(
+        trained.discoverer.params,
+        steps.extras.low.actor,
+        timestep.obs,
+        timestep.action_mask,
+        steps.first,
+        skills[..., 1:],
+    )
+    np.testing.assert_array_equal(distribution.mode()[:, :2], steps.action[:, :2])
+    assert_allclose(distribution.log_prob(steps.action), steps.extras.log_prob, atol=1e-5)
+    # The other copies play as they would without.
+    np.testing.assert_array_equal(steps.action[:, 2:], sampled.action[:, 2:])
+    assert (steps.action[:, :2] != sampled.action[:, :2]).any()
 
 
 def _timestep(env, key, batch):
