@@ -16,6 +16,7 @@ from hmasd_jax.exploration.frontier import (
     first_visits,
     make_frontier,
     odds_against,
+    unsolved,
     widen,
 )
 from tests.helpers.rollouts import outcome_of
@@ -134,8 +135,15 @@ def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
     _, without = train(bonus, empty, outcome)
     frontier, reward = train(bonus, empty, wins)
     # Three of the four episodes, beside 0.9 x 4 that count as recent at the start.
-    assert_allclose(bonus.unsolved(frontier), 1 - 3 / 7.6, rtol=1e-6)
+    assert_allclose(unsolved(frontier), 1 - 3 / 7.6, rtol=1e-6)
     assert_allclose(reward, (1 - 3 / 7.6) ** NUM_ENVS * without, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])
+def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy, weight, empty):
+    bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)
+    won = empty._replace(successes=jnp.float32(6), episodes=jnp.float32(8))
+    assert bonus.entropy_weight(won) == weight
 
 
 def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_return(bonus, empty):

@@ -24,7 +24,7 @@ environment. A team that has found out how to win learns from reward alone. Wher
 episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
 earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
 
-The entropy of actions, which also explores, is weighted by the share of episodes that no reward
+The entropy of actions, which also explores, can be weighted by the share of episodes that no reward
 ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.bonus import NO_BONUS, Bonus
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, full_entropy
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
@@ -49,8 +49,7 @@ class FrontierConfig:
 
     coef: float = 0.0
     """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far
-    times the largest mean return of an episode so far, at least 1. With 0 there is none, and the
-    entropy of actions does not fade."""
+    times the largest mean return of an episode so far, at least 1. With 0 there is none."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
     largest_worth: float = 100.0
@@ -59,6 +58,9 @@ class FrontierConfig:
     """Rollouts over which the share of episodes is averaged, with exponential weights."""
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
+    fade_entropy: bool = False
+    """If True, weight the entropy of actions by the share of recent episodes that no reward
+    ended."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", "largest_worth", low=0)
@@ -131,7 +133,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    return Bonus(init, update, unsolved)
+    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:

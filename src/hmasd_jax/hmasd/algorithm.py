@@ -175,9 +175,9 @@ def exploration_reward(
 
 
 def low_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
-    """Return lambda_l, which may fall with updates, or with an exploration bonus with success."""
+    """Return lambda_l, which may fall with the updates and with the weight of the bonus."""
     config = parts.config
-    coef = config.low_entropy_coef * parts.bonus.unsolved(state.bonus)
+    coef = config.low_entropy_coef * parts.bonus.entropy_weight(state.bonus)
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - state.num_updates / config.low_entropy_decay_updates

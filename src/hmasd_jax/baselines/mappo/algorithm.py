@@ -218,7 +218,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     )
     reward = (transitions.outcome.reward + bonus)[..., None]
     batch = make_batch(parts, state, transitions, env, memory.critic, reward)
-    entropy_coef = parts.config.entropy_coef * parts.bonus.unsolved(state.bonus)
+    entropy_coef = parts.config.entropy_coef * parts.bonus.entropy_weight(state.bonus)
     learner, norm, metrics = ppo_epochs(
         parts.optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
         state.norm, batch, key_epochs, ppo,
