@@ -18,6 +18,7 @@ from hmasd_jax.exploration.successes import (
 )
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.actor_critic import ActorCriticMemory, SequenceBatch
+from hmasd_jax.rl import rollout
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.types import Learner
 
@@ -154,3 +155,21 @@ def test_the_first_copies_of_mappo_act_greedily_and_the_others_sample():
 def test_some_copies_must_be_left_to_explore(config, copies, message):
     with pytest.raises(ValueError, match=message):
         config(imitation=ImitationConfig(greedy_copies=copies))
+
+
+def test_greedy_copies_have_no_part_in_the_policy_gradient_of_mappo():
+    env = envs_jax.make("probe_match_cue")
+    ppo = PPOConfig(num_envs=4, rollout_length=10, sequence_length=5, hidden_size=8)
+    config = MAPPOConfig(ppo=ppo, imitation=ImitationConfig(greedy_copies=3))
+    parts = mappo.make_parts(env, config)
+    state = mappo.init_state(parts, jax.random.key(0))
+    carry, memory, transitions = rollout.unroll(
+        env, mappo.act_and_evaluate(parts, state.learner.params), state.env, state.memory,
+        jax.random.key(1), 10,
+    )  # fmt: skip
+    reward = jax.random.normal(jax.random.key(2), (10, 4, 1))
+    batch = mappo.make_batch(parts, state, transitions, carry, memory.critic, reward)
+    advantage = batch.advantage.reshape(2, 4, 5, -1)  # sequences, copies, steps, agents
+    assert (advantage[:, :3] == 0).all()
+    assert_allclose(advantage[:, 3].mean(), 0, atol=1e-5)
+    assert_allclose(advantage[:, 3].std(), 1, atol=1e-3)

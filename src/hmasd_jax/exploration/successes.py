@@ -7,7 +7,8 @@ little.
 
 A team that has just learned to win often does so greedily long before it does by chance: one action
 at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
-may act greedily, so that there are successes to imitate.
+may act greedily, so that there are successes to imitate. They have no part in the policy gradient,
+which would make what is likely likelier still.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from envs_jax import Environment
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
@@ -41,7 +42,8 @@ class ImitationConfig:
     inserts: int = 48
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
-    """Copies of the environment that take the most likely actions and skills in training."""
+    """Copies of the environment that take the most likely actions and skills in training. They fill
+    the buffer and train the critics, and leave the policy gradient to the others."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
@@ -98,6 +100,13 @@ def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, 
 def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
     """Return `greedy` with an axis for the agents."""
     return greedy if isinstance(greedy, bool) else greedy[:, None]
+
+
+def without_greedy(
+    values: Shaped[Array, "T E *rest"], greedy: bool | Bool[Array, "E *#rest"]
+) -> Shaped[Array, "T E *rest"]:
+    """Set the values of copies that act greedily to 0, or to False."""
+    return values if greedy is False else jnp.where(greedy, jnp.zeros_like(values), values)
 
 
 NO_IMITATION = Imitation(

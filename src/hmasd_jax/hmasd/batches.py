@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
+from hmasd_jax.exploration.successes import greedy_copies, per_agent, without_greedy
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
@@ -106,8 +107,8 @@ def high_batch(
 ) -> HighBatch:
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
-    The batch has `config.num_segments` samples: a random choice of the segments, repeated if there
-    are fewer.
+    The batch has `config.num_segments` samples: a random choice of the segments of copies that do
+    not act greedily, repeated if there are fewer.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -128,7 +129,8 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    chosen = _choose(segments.begins.reshape(-1), config.num_segments, key)
+    learned = without_greedy(segments.begins, greedy_copies(config.imitation, ppo.num_envs))
+    chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
     if config.zero_reward_guard:
@@ -153,7 +155,8 @@ def low_batch(
     """Build B_l: advantages and targets over all T steps, then sequences of L steps.
 
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
-    skill in use there. Advantages are normalized over the agents that have a choice.
+    skill in use there. Advantages are normalized over the agents that have a choice, and are 0 in
+    copies that act greedily.
     """
     config, transitions = parts.config, rollout.transitions
     ppo, timestep = config.ppo, transitions.timestep
@@ -173,8 +176,10 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
-    active = has_choice(timestep.action_mask)
+    greedy = per_agent(greedy_copies(config.imitation, ppo.num_envs))
+    active = without_greedy(has_choice(timestep.action_mask), greedy)
     advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
+    advantage = without_greedy(advantage, greedy)
     steps = SequenceBatch(
         memory=extras.low,
         first=transitions.first,

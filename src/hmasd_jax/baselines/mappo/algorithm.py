@@ -21,7 +21,7 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
-from hmasd_jax.exploration.successes import greedy_copies, per_agent
+from hmasd_jax.exploration.successes import greedy_copies, per_agent, without_greedy
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
     SequenceBatch,
@@ -169,6 +169,8 @@ def make_batch(
         reward, extras.value, last_value, outcome, value_of_outcome, state.norm, config.ppo
     )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
+    greedy = per_agent(greedy_copies(config.imitation, config.ppo.num_envs))
+    active = without_greedy(has_choice(timestep.action_mask), greedy)
     steps = SequenceBatch(
         memory=extras.memory,
         first=transitions.first,
@@ -178,7 +180,7 @@ def make_batch(
         action=transitions.action,
         log_prob=extras.log_prob,
         value=extras.value,
-        advantage=normalize(advantage, has_choice(timestep.action_mask)),
+        advantage=without_greedy(normalize(advantage, active), greedy),
         target=target,
     )
     return sequences(steps, config.ppo.sequence_length)
