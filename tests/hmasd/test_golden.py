@@ -141,7 +141,7 @@ def compute(parts, params, norms, data):
     learners = [Learner(p, optimizer.init(p)) for p, optimizer in zip(params, optimizers)]
     state = SimpleNamespace(
         coordinator=learners[0], discoverer=learners[1], discriminators=learners[2],
-        coordinator_norm=norms[0], discoverer_norm=norms[1], num_updates=0,
+        coordinator_norm=norms[0], discoverer_norm=norms[1], num_updates=0, bonus=(),
     )  # fmt: skip
     trained = (
         algorithm.train_coordinator(parts, state, b_high, key),
