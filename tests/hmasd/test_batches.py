@@ -1,6 +1,5 @@
 """Batches of constructed rollouts, computed by hand; every option has its effect."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -10,7 +9,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
-from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.batches import find_segments, high_batch, low_batch, skill_pairs
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment
@@ -319,15 +317,15 @@ def test_copies_do_not_mix():
 
 def test_greedy_copies_have_no_part_in_the_policy_gradient(parts, trained, rollout):
     """Two of the four copies of a real rollout count as greedy."""
-    parts = replace(parts, config=replace(parts.config, imitation=ImitationConfig(greedy_copies=2)))
+    greedy = jnp.arange(4) < 2
     reward = jax.random.normal(jax.random.key(2), rollout.transitions.action.shape)
-    low = low_batch(parts, trained.discoverer.params, trained.discoverer_norm, rollout, reward)
+    params, norm = trained.discoverer.params, trained.discoverer_norm
+    low = low_batch(parts, params, norm, rollout, reward, greedy)
     advantage = low.advantage.reshape(-1, 4, *low.advantage.shape[1:])  # sequences, copies, ...
     assert (advantage[:, :2] == 0).all()
     assert_allclose(advantage[:, 2:].mean(), 0, atol=1e-5)
     assert_allclose(advantage[:, 2:].std(), 1, atol=1e-3)
-    high = high_batch(
-        parts, trained.coordinator.params, trained.coordinator_norm, rollout, jax.random.key(0)
-    )
+    params, norm = trained.coordinator.params, trained.coordinator_norm
+    high = high_batch(parts, params, norm, rollout, jax.random.key(0), greedy)
     others = rollout.transitions.extras.assignment.value[:, 2:].reshape(-1, high.target.shape[-1])
     assert all((value == others).all(-1).any() for value in high.assignment.value)

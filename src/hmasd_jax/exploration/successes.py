@@ -43,7 +43,8 @@ class ImitationConfig:
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
-    the buffer and train the critics, and leave the policy gradient to the others."""
+    the buffer and train the critics, and leave the policy gradient to the others. With
+    `frontier.fade_entropy` they sample again where rewards have come to end most episodes."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
@@ -92,9 +93,24 @@ class Imitation(NamedTuple):
     """`train(successes, learner)`: take gradient steps towards what is stored."""
 
 
-def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, " E"]:
-    """Mark the copies that act greedily; False if there is none."""
-    return jnp.arange(num_envs) < config.greedy_copies if config.greedy_copies else False
+def greedy_copies(
+    config: ImitationConfig, num_envs: int, share: float | Float[Array, ""], key: Key
+) -> bool | Bool[Array, " E"]:
+    """Choose the copies that act greedily in a rollout.
+
+    Args:
+        config: number of copies that may.
+        num_envs: number of all copies, E.
+        share: probability that each of them does, `Bonus.explore_weight`.
+        key: random key.
+
+    Returns:
+        True for the copies that do; False if there can be none.
+    """
+    if not config.greedy_copies:
+        return False
+    drawn = jax.random.uniform(key, (num_envs,)) < share
+    return (jnp.arange(num_envs) < config.greedy_copies) & drawn
 
 
 def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
