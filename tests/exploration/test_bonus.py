@@ -39,10 +39,10 @@ def test_the_sum_pays_both_and_updates_each_on_its_own_state():
     assert_allclose(reward, 10.0)
 
 
-def test_the_weight_of_other_exploration_is_that_of_the_bonus_that_has_one():
-    counting = constant(3.0, "b")._replace(explore_weight=lambda count: count / 4)
+def test_the_weight_of_the_entropy_is_that_of_the_bonus_that_has_one():
+    counting = constant(3.0, "b")._replace(entropy_weight=lambda count: count / 4)
     for both, expected in [(add(constant(2.0, "a"), counting), 0.25), (NO_BONUS, 1.0)]:
-        assert both.explore_weight(both.init(jax.random.key(0))) == expected
+        assert both.entropy_weight(both.init(jax.random.key(0))) == expected
 
 
 @pytest.mark.parametrize(("weight", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
@@ -55,7 +55,7 @@ def test_the_entropy_of_mappo_is_weighted_by_the_bonus(weight, entropy_coef):
     def params_after(parts):
         return mappo.train_iteration(parts, state)[0].learner.params
 
-    fading = replace(parts, bonus=parts.bonus._replace(explore_weight=lambda _: weight))
+    fading = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda _: weight))
     fixed = replace(parts, config=replace(parts.config, entropy_coef=entropy_coef))
     jax.tree.map(assert_array_equal, params_after(fading), params_after(fixed))
 

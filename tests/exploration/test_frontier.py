@@ -143,7 +143,7 @@ def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
 def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy, weight, empty):
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)
     won = empty._replace(successes=jnp.float32(6), episodes=jnp.float32(8))
-    assert bonus.explore_weight(won) == weight
+    assert bonus.entropy_weight(won) == weight
 
 
 def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_return(bonus, empty):

@@ -1,5 +1,7 @@
 """The store of successes and its imitation, by hand."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,7 +14,6 @@ from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.successes import (
     NO_IMITATION,
     ImitationConfig,
-    greedy_copies,
     imitation_loss,
     insert,
     reward_to_come,
@@ -131,11 +132,11 @@ def test_the_first_copies_of_mappo_act_greedily_and_the_others_sample():
     env = envs_jax.make("probe_match_cue")
     ppo = PPOConfig(num_envs=8, rollout_length=10, hidden_size=8)
 
-    parts = mappo.make_parts(env, MAPPOConfig(ppo=ppo))
-
     def act(copies):
+        config = MAPPOConfig(ppo=ppo, imitation=ImitationConfig(greedy_copies=copies))
+        parts = mappo.make_parts(env, config)
         state = mappo.init_state(parts, jax.random.key(0))
-        step = mappo.act_and_evaluate(parts, state.learner.params, jnp.arange(8) < copies)
+        step = mappo.act_and_evaluate(parts, state.learner.params)
         carry = state.env
         _, action, extras = step(state.memory, carry.timestep, carry.first, jax.random.key(1))
         _, distribution = parts.networks.act(
@@ -158,33 +159,26 @@ def test_some_copies_must_be_left_to_explore(config, copies, message):
         config(imitation=ImitationConfig(greedy_copies=copies))
 
 
-def test_greedy_copies_have_no_part_in_the_policy_gradient_of_mappo():
+def test_the_policy_gradient_of_mappo_takes_only_the_worst_from_greedy_copies():
     env = envs_jax.make("probe_match_cue")
     ppo = PPOConfig(num_envs=4, rollout_length=10, sequence_length=5, hidden_size=8)
     parts = mappo.make_parts(env, MAPPOConfig(ppo=ppo))
-    greedy = jnp.arange(4) < 3
     state = mappo.init_state(parts, jax.random.key(0))
     carry, memory, transitions = rollout.unroll(
-        env, mappo.act_and_evaluate(parts, state.learner.params, greedy), state.env, state.memory,
+        env, mappo.act_and_evaluate(parts, state.learner.params), state.env, state.memory,
         jax.random.key(1), 10,
     )  # fmt: skip
     reward = jax.random.normal(jax.random.key(2), (10, 4, 1))
-    batch = mappo.make_batch(parts, state, transitions, carry, memory.critic, reward, greedy=greedy)
-    advantage = batch.advantage.reshape(2, 4, 5, -1)  # sequences, copies, steps, agents
-    assert (advantage[:, :3] == 0).all()
-    assert_allclose(advantage[:, 3].mean(), 0, atol=1e-5)
-    assert_allclose(advantage[:, 3].std(), 1, atol=1e-3)
 
+    def advantage(copies):
+        config = replace(parts.config, imitation=ImitationConfig(greedy_copies=copies))
+        batch = mappo.make_batch(
+            replace(parts, config=config), state, transitions, carry, memory.critic, reward
+        )
+        return batch.advantage.reshape(2, 4, 5, -1)  # sequences, copies, steps, agents
 
-def test_greedy_copies_become_fewer_with_their_share():
-    config, keys = ImitationConfig(greedy_copies=2), jax.random.split(jax.random.key(0), 400)
-
-    def chosen(share):
-        return np.asarray([greedy_copies(config, 8, share, key) for key in keys])
-
-    assert (chosen(1.0) == (np.arange(8) < 2)).all()
-    assert not chosen(0.0).any()
-    some = chosen(0.25)
-    assert not some[:, 2:].any()
-    assert_allclose(some[:, :2].mean(0), 0.25, atol=0.07)
-    assert greedy_copies(ImitationConfig(), 8, 1.0, keys[0]) is False
+    blamed, sampled = advantage(3), advantage(0)
+    others = (sampled - sampled[:, 3].mean()) / sampled[:, 3].std()
+    assert_allclose(blamed[:, 3], others[:, 3], atol=1e-3)
+    assert_allclose(blamed[:, :3], np.minimum(others[:, :3] + 1, 0), atol=1e-3)
+    assert (blamed[:, :3] < 0).any()

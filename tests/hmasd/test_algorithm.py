@@ -236,7 +236,7 @@ def test_the_low_entropy_weight_can_fall_linearly_to_zero(parts):
 
 
 def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
-    counting = replace(parts, bonus=parts.bonus._replace(explore_weight=lambda share: share))
+    counting = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda share: share))
     assert_allclose(entropy_weight(counting, 9, jnp.float32(0.25)), 0.1)
     half = entropy_weight(counting, 2, jnp.float32(0.25), low_entropy_decay_updates=4)
     assert_allclose(half, 0.05)

@@ -1,5 +1,6 @@
 """Batches of constructed rollouts, computed by hand; every option has its effect."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax
@@ -9,6 +10,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
+from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.batches import find_segments, high_batch, low_batch, skill_pairs
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment
@@ -315,17 +317,30 @@ def test_copies_do_not_mix():
         assert_allclose(np.sort(np.asarray(batch.target).ravel()), expected)
 
 
-def test_greedy_copies_have_no_part_in_the_policy_gradient(parts, trained, rollout):
+def test_the_policy_gradient_takes_only_the_worst_from_greedy_copies(parts, trained, rollout):
     """Two of the four copies of a real rollout count as greedy."""
-    greedy = jnp.arange(4) < 2
+    greedy = replace(
+        parts, config=replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
+    )
     reward = jax.random.normal(jax.random.key(2), rollout.transitions.action.shape)
-    params, norm = trained.discoverer.params, trained.discoverer_norm
-    low = low_batch(parts, params, norm, rollout, reward, greedy)
-    advantage = low.advantage.reshape(-1, 4, *low.advantage.shape[1:])  # sequences, copies, ...
-    assert (advantage[:, :2] == 0).all()
-    assert_allclose(advantage[:, 2:].mean(), 0, atol=1e-5)
-    assert_allclose(advantage[:, 2:].std(), 1, atol=1e-3)
-    params, norm = trained.coordinator.params, trained.coordinator_norm
-    high = high_batch(parts, params, norm, rollout, jax.random.key(0), greedy)
+
+    def advantage(parts):
+        low = low_batch(parts, trained.discoverer.params, trained.discoverer_norm, rollout, reward)
+        return low.advantage.reshape(-1, 4, *low.advantage.shape[1:])  # sequences, copies, ...
+
+    blamed, sampled = advantage(greedy), advantage(parts)
+    others = (sampled - sampled[:, 2:].mean()) / sampled[:, 2:].std()
+    assert_allclose(blamed[:, 2:], others[:, 2:], atol=1e-3)
+    assert_allclose(blamed[:, :2], np.minimum(others[:, :2] + 1, 0), atol=1e-3)
+    assert (blamed[:, :2] < 0).any()
+
+
+def test_greedy_copies_have_no_part_in_the_high_level_batch(parts, trained, rollout):
+    greedy = replace(
+        parts, config=replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
+    )
+    high = high_batch(
+        greedy, trained.coordinator.params, trained.coordinator_norm, rollout, jax.random.key(0)
+    )
     others = rollout.transitions.extras.assignment.value[:, 2:].reshape(-1, high.target.shape[-1])
     assert all((value == others).all(-1).any() for value in high.assignment.value)

@@ -9,6 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from envs_jax import TimeStep
+from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rollout_phase import collect, read_clock
@@ -56,13 +57,13 @@ def test_values_and_log_probs_kept_are_those_of_the_draw(rollout, parts, trained
 
 
 def test_greedy_copies_take_the_most_likely_skills_and_actions(rollout, parts, trained):
-    mixed = jax.jit(lambda *args: collect(parts, *args))(
+    config = replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
+    mixed = jax.jit(lambda *args: collect(replace(parts, config=config), *args))(
         trained.coordinator.params,
         trained.discoverer.params,
         trained.env,
         trained.memory,
         jax.random.key(1),
-        jnp.arange(len(trained.memory.clock)) < 2,
     )
     steps, sampled = mixed.transitions, rollout.transitions
     skills, timestep = steps.extras.assignment.skills, steps.timestep

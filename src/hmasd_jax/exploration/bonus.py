@@ -11,8 +11,8 @@ from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
-def full_weight(bonus_state: Any) -> float:
-    """Return 1, for a bonus that leaves the other means of exploration as they are."""
+def full_entropy(bonus_state: Any) -> float:
+    """Return 1, for a bonus that leaves the entropy of actions as it is."""
     del bonus_state
     return 1.0
 
@@ -25,9 +25,9 @@ class Bonus(NamedTuple):
     update: Callable[[Any, TimeStep, Key], tuple[Any, Float[Array, "T E"], Metrics]]
     """`update(bonus_state, outcome, key)`: the next state, the weighted bonus for each state that a
     rollout reached, and metrics. `outcome` is (T, E), before any reset."""
-    explore_weight: Callable[[Any], float | Float[Array, ""]] = full_weight
-    """`explore_weight(bonus_state)`: factor of the other means of exploration, which are the
-    entropy of actions and copies that act greedily (see `successes.greedy_copies`)."""
+    entropy_weight: Callable[[Any], float | Float[Array, ""]] = full_entropy
+    """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
+    explores, too."""
 
 
 NO_BONUS = Bonus(
@@ -53,7 +53,7 @@ def add(first: Bonus, second: Bonus) -> Bonus:
         other, more_reward, more_metrics = second.update(pair[1], outcome, keys[1])
         return (one, other), reward + more_reward, metrics | more_metrics
 
-    def explore_weight(pair):
-        return first.explore_weight(pair[0]) * second.explore_weight(pair[1])
+    def entropy_weight(pair):
+        return first.entropy_weight(pair[0]) * second.entropy_weight(pair[1])
 
-    return Bonus(init, update, explore_weight)
+    return Bonus(init, update, entropy_weight)

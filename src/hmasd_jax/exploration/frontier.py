@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, full_weight
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, full_entropy
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
@@ -59,8 +59,8 @@ class FrontierConfig:
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
     fade_entropy: bool = False
-    """If True, weight the other means of exploration, the entropy of actions and the number of
-    greedy copies, by the share of recent episodes that no reward ended."""
+    """If True, weight the entropy of actions by the share of recent episodes that no reward
+    ended."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", "largest_worth", low=0)
@@ -133,7 +133,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    return Bonus(init, update, unsolved if config.fade_entropy else full_weight)
+    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:

@@ -7,8 +7,9 @@ little.
 
 A team that has just learned to win often does so greedily long before it does by chance: one action
 at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
-may act greedily, so that there are successes to imitate. They have no part in the policy gradient,
-which would make what is likely likelier still.
+may act greedily, so that there are successes to imitate. The policy gradient takes from them only
+what went wrong. Their better actions would make what is likely likelier still. Without the worse
+ones, greedy play could wait for ever, and a team that samples would never know.
 """
 
 from collections.abc import Callable
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Bool, Float, Int, Shaped
+from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
@@ -43,8 +44,8 @@ class ImitationConfig:
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
-    the buffer and train the critics, and leave the policy gradient to the others. With
-    `frontier.fade_entropy` they sample again where rewards have come to end most episodes."""
+    the buffer and train the critics. The policy gradient takes only their worst actions from them
+    (`blame_greedy`)."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
@@ -93,24 +94,9 @@ class Imitation(NamedTuple):
     """`train(successes, learner)`: take gradient steps towards what is stored."""
 
 
-def greedy_copies(
-    config: ImitationConfig, num_envs: int, share: float | Float[Array, ""], key: Key
-) -> bool | Bool[Array, " E"]:
-    """Choose the copies that act greedily in a rollout.
-
-    Args:
-        config: number of copies that may.
-        num_envs: number of all copies, E.
-        share: probability that each of them does, `Bonus.explore_weight`.
-        key: random key.
-
-    Returns:
-        True for the copies that do; False if there can be none.
-    """
-    if not config.greedy_copies:
-        return False
-    drawn = jax.random.uniform(key, (num_envs,)) < share
-    return (jnp.arange(num_envs) < config.greedy_copies) & drawn
+def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, " E"]:
+    """Mark the copies that act greedily; False if there is none."""
+    return jnp.arange(num_envs) < config.greedy_copies if config.greedy_copies else False
 
 
 def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
@@ -119,10 +105,23 @@ def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
 
 
 def without_greedy(
-    values: Shaped[Array, "T E *rest"], greedy: bool | Bool[Array, "E *#rest"]
-) -> Shaped[Array, "T E *rest"]:
-    """Set the values of copies that act greedily to 0, or to False."""
-    return values if greedy is False else jnp.where(greedy, jnp.zeros_like(values), values)
+    chosen: Bool[Array, "T E *rest"], greedy: bool | Bool[Array, "E *#rest"]
+) -> Bool[Array, "T E *rest"]:
+    """Leave out the copies that act greedily."""
+    return chosen if greedy is False else chosen & ~greedy
+
+
+def blame_greedy(
+    advantage: Float[Array, "T E N"], greedy: bool | Bool[Array, "E 1"]
+) -> Float[Array, "T E N"]:
+    """Replace normalized advantages A of copies that act greedily by min(A + 1, 0).
+
+    The greedy action is made less likely where it is more than one deviation worse than the mean,
+    and is never made likelier.
+    """
+    if greedy is False:
+        return advantage
+    return jnp.where(greedy, jnp.minimum(advantage + 1.0, 0.0), advantage)
 
 
 NO_IMITATION = Imitation(

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax.exploration.successes import greedy_copies
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -108,9 +107,6 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     rewards come from the discriminators of the rollout, before they are trained on it.
     """
     key, key_collect, key_choose, key_high, key_low, key_pairs = jax.random.split(state.key, 6)
-    weight, key_greedy = parts.bonus.explore_weight(state.bonus), jax.random.fold_in(key, 3)
-    ppo = parts.config.ppo
-    greedy = greedy_copies(parts.config.imitation, ppo.num_envs, weight, key_greedy)
     rollout = collect(
         parts,
         state.coordinator.params,
@@ -118,7 +114,6 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         state.env,
         state.memory,
         key_collect,
-        greedy,
     )
     key_noise, key_pairs = jax.random.split(key_pairs)
     # One sample per step, the shape they are trained on, so that the networks compile once.
@@ -132,10 +127,8 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         parts, state, rollout, jax.random.fold_in(key, 2)
     )
     reward = reward.reshape(*team_reward.shape, -1) + extra_reward
-    high = high_batch(
-        parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose, greedy
-    )
-    low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward, greedy)
+    high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
+    low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
     discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
@@ -184,7 +177,7 @@ def exploration_reward(
 def low_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
     """Return lambda_l, which may fall with the updates and with the weight of the bonus."""
     config = parts.config
-    coef = config.low_entropy_coef * parts.bonus.explore_weight(state.bonus)
+    coef = config.low_entropy_coef * parts.bonus.entropy_weight(state.bonus)
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - state.num_updates / config.low_entropy_decay_updates

@@ -6,7 +6,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from hmasd_jax.exploration.successes import per_agent, without_greedy
+from hmasd_jax.exploration.successes import (
+    blame_greedy,
+    greedy_copies,
+    per_agent,
+    without_greedy,
+)
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
@@ -103,12 +108,7 @@ def _in_front(segments: Segments) -> Segments:
 
 
 def high_batch(
-    parts: Parts,
-    params: dict,
-    norm: ValueNorm,
-    rollout: Rollout,
-    key: Key,
-    greedy: bool | Bool[Array, " E"] = False,
+    parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout, key: Key
 ) -> HighBatch:
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
@@ -134,7 +134,7 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    learned = without_greedy(segments.begins, greedy)
+    learned = without_greedy(segments.begins, greedy_copies(config.imitation, ppo.num_envs))
     chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
@@ -156,7 +156,6 @@ def low_batch(
     norm: ValueNorm,
     rollout: Rollout,
     reward: Float[Array, "T E N"],
-    greedy: bool | Bool[Array, " E"] = False,
 ) -> SequenceBatch:
     """Build B_l: advantages and targets over all T steps, then sequences of L steps.
 
@@ -182,9 +181,10 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
-    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
+    greedy = per_agent(greedy_copies(config.imitation, ppo.num_envs))
+    active = without_greedy(has_choice(timestep.action_mask), greedy)
     advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
-    advantage = without_greedy(advantage, per_agent(greedy))
+    advantage = blame_greedy(advantage, greedy)
     steps = SequenceBatch(
         memory=extras.low,
         first=transitions.first,

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
-from hmasd_jax.exploration.successes import per_agent
+from hmasd_jax.exploration.successes import greedy_copies, per_agent
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
@@ -79,24 +79,21 @@ def collect(
     env: EnvCarry,
     memory: RolloutMemory,
     key: Key,
-    greedy: bool | Bool[Array, " E"] = False,
 ) -> Rollout:
-    """Roll out for T steps with the given parameters of coordinator and discoverer.
-
-    Copies that are `greedy` take the most likely skills and actions.
-    """
+    """Roll out for T steps with the given parameters of coordinator and discoverer."""
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
     if config.segment_clock == "rollout":
         # T is a multiple of k, so this changes no value. But a constant clock does not depend on
         # the seed, so that under vmap over seeds the coordinator still runs only every k steps.
         memory = memory._replace(clock=jnp.zeros_like(memory.clock))
-    step_fn = _act_and_evaluate(parts, coordinator, discoverer, greedy)
+    step_fn = _act_and_evaluate(parts, coordinator, discoverer)
     env, memory, transitions = unroll(
         parts.env, step_fn, env, memory, key_rollout, config.ppo.rollout_length
     )
     _, renewed = read_clock(config, memory.clock, env.first)
     state, obs = env.timestep.state, env.timestep.obs
+    greedy = greedy_copies(config.imitation, config.ppo.num_envs)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
@@ -116,10 +113,12 @@ def read_clock(
     return clock, clock % config.skill_interval == 0
 
 
-def _act_and_evaluate(
-    parts: Parts, coordinator: dict, discoverer: dict, greedy: bool | Bool[Array, " E"]
-) -> StepFn:
-    """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l."""
+def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
+    """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l.
+
+    Copies that act greedily take the most likely skills and actions.
+    """
+    greedy = greedy_copies(parts.config.imitation, parts.config.ppo.num_envs)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)

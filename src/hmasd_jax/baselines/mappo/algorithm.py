@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.baselines.mappo.components import (
@@ -21,7 +21,12 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
-from hmasd_jax.exploration.successes import greedy_copies, per_agent, without_greedy
+from hmasd_jax.exploration.successes import (
+    blame_greedy,
+    greedy_copies,
+    per_agent,
+    without_greedy,
+)
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
     SequenceBatch,
@@ -117,13 +122,9 @@ def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
     return Policy(init, step)
 
 
-def act_and_evaluate(
-    parts: Parts, params: dict, greedy: bool | Bool[Array, " E"] = False
-) -> StepFn:
-    """Build a step that samples actions and evaluates the critic, for training.
-
-    Copies that are `greedy` take the most likely actions.
-    """
+def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
+    """Build a step that samples actions and evaluates the critic, for training."""
+    greedy = greedy_copies(parts.config.imitation, parts.config.ppo.num_envs)
 
     def step(memory, timestep, first, key):
         actor, distribution = parts.networks.act(
@@ -147,7 +148,6 @@ def make_batch(
     memory: Array,
     reward: Float[Array, "T E #N"],
     normalize: Callable[[Array, Array], Array] = normalize_advantage,
-    greedy: bool | Bool[Array, " E"] = False,
 ) -> SequenceBatch:
     """Compute advantages and targets of a rollout, and cut it into sequences of L steps.
 
@@ -159,7 +159,6 @@ def make_batch(
         memory: memory of the critic after the last step.
         reward: rewards of the agents or of the team, with any exploration bonus.
         normalize: function of the advantages (T, E, N), and of whether each agent has a choice.
-        greedy: True for copies without a part in the policy gradient.
     """
     params, extras, outcome = state.learner.params, transitions.extras, transitions.outcome
     timestep, config = transitions.timestep, parts.config
@@ -175,7 +174,8 @@ def make_batch(
         reward, extras.value, last_value, outcome, value_of_outcome, state.norm, config.ppo
     )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
-    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
+    greedy = per_agent(greedy_copies(config.imitation, config.ppo.num_envs))
+    active = without_greedy(has_choice(timestep.action_mask), greedy)
     steps = SequenceBatch(
         memory=extras.memory,
         first=transitions.first,
@@ -185,7 +185,7 @@ def make_batch(
         action=transitions.action,
         log_prob=extras.log_prob,
         value=extras.value,
-        advantage=without_greedy(normalize(advantage, active), per_agent(greedy)),
+        advantage=blame_greedy(normalize(advantage, active), greedy),
         target=target,
     )
     return sequences(steps, config.ppo.sequence_length)
@@ -215,10 +215,8 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     """Do one rollout and all learning from it."""
     key, key_rollout, key_epochs = jax.random.split(state.key, 3)
     ppo = parts.config.ppo
-    weight, key_greedy = parts.bonus.explore_weight(state.bonus), jax.random.fold_in(key, 3)
-    greedy = greedy_copies(parts.config.imitation, ppo.num_envs, weight, key_greedy)
     env, memory, transitions = rollouts.unroll(
-        parts.env, act_and_evaluate(parts, state.learner.params, greedy),
+        parts.env, act_and_evaluate(parts, state.learner.params),
         state.env, state.memory, key_rollout, ppo.rollout_length,
     )  # fmt: skip
     key_bonus, key_store = jax.random.split(jax.random.fold_in(key, 1))
@@ -226,8 +224,8 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         state.bonus, transitions.outcome, key_bonus
     )
     reward = (transitions.outcome.reward + bonus)[..., None]
-    batch = make_batch(parts, state, transitions, env, memory.critic, reward, greedy=greedy)
-    entropy_coef = parts.config.entropy_coef * weight
+    batch = make_batch(parts, state, transitions, env, memory.critic, reward)
+    entropy_coef = parts.config.entropy_coef * parts.bonus.entropy_weight(state.bonus)
     learner, norm, metrics = ppo_epochs(
         parts.optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
         state.norm, batch, key_epochs, ppo,
