@@ -14,6 +14,7 @@ from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.successes import (
     NO_IMITATION,
     ImitationConfig,
+    blame_greedy,
     imitation_loss,
     insert,
     reward_to_come,
@@ -159,7 +160,17 @@ def test_some_copies_must_be_left_to_explore(config, copies, message):
         config(imitation=ImitationConfig(greedy_copies=copies))
 
 
-def test_the_policy_gradient_of_mappo_takes_only_the_worst_from_greedy_copies():
+def test_greedy_copies_are_blamed_for_their_worst_actions_as_far_as_others_succeed():
+    advantage = jnp.asarray([[-3.0, -3.0, -3.0], [0.5, 0.5, 0.5]])[..., None]  # (T, E, N)
+    greedy = jnp.asarray([True, False, False])
+    for reward, weight in [([1, 0, 0], 0.0), ([0, 0, 1], 0.5), ([0, 2, 1], 1.0), ([0, -1, -1], 0)]:
+        blamed = blame_greedy(advantage, greedy, jnp.asarray([[0.0, 0.0, 0.0], reward]))
+        assert_allclose(blamed[:, 0, 0], [-2 * weight, 0])
+        assert_allclose(blamed[:, 1:], advantage[:, 1:])
+    assert blame_greedy(advantage, False, jnp.ones((2, 3))) is advantage
+
+
+def test_mappo_normalizes_by_the_copies_that_sample_and_blames_the_others():
     env = envs_jax.make("probe_match_cue")
     ppo = PPOConfig(num_envs=4, rollout_length=10, sequence_length=5, hidden_size=8)
     parts = mappo.make_parts(env, MAPPOConfig(ppo=ppo))
@@ -169,12 +180,14 @@ def test_the_policy_gradient_of_mappo_takes_only_the_worst_from_greedy_copies():
         jax.random.key(1), 10,
     )  # fmt: skip
     reward = jax.random.normal(jax.random.key(2), (10, 4, 1))
+    outcome = transitions.outcome._replace(reward=jnp.ones((10, 4)))
 
     def advantage(copies):
         config = replace(parts.config, imitation=ImitationConfig(greedy_copies=copies))
         batch = mappo.make_batch(
-            replace(parts, config=config), state, transitions, carry, memory.critic, reward
-        )
+            replace(parts, config=config), state, transitions._replace(outcome=outcome), carry,
+            memory.critic, reward,
+        )  # fmt: skip
         return batch.advantage.reshape(2, 4, 5, -1)  # sequences, copies, steps, agents
 
     blamed, sampled = advantage(3), advantage(0)

@@ -317,8 +317,13 @@ def test_copies_do_not_mix():
         assert_allclose(np.sort(np.asarray(batch.target).ravel()), expected)
 
 
-def test_the_policy_gradient_takes_only_the_worst_from_greedy_copies(parts, trained, rollout):
-    """Two of the four copies of a real rollout count as greedy."""
+def test_low_advantages_are_normalized_by_copies_that_sample_and_blame_the_others(
+    parts, trained, rollout
+):
+    """Two of the four copies of a real rollout count as greedy, and all as rewarded."""
+    transitions = rollout.transitions
+    outcome = transitions.outcome._replace(reward=jnp.ones_like(transitions.outcome.reward))
+    rollout = rollout._replace(transitions=transitions._replace(outcome=outcome))
     greedy = replace(
         parts, config=replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
     )

@@ -8,8 +8,9 @@ little.
 A team that has just learned to win often does so greedily long before it does by chance: one action
 at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
 may act greedily, so that there are successes to imitate. The policy gradient takes from them only
-what went wrong. Their better actions would make what is likely likelier still. Without the worse
-ones, greedy play could wait for ever, and a team that samples would never know.
+goes wrong although teams that sample succeed. Their better actions would make what is likely
+likelier still. Without the worse ones, greedy play could wait for ever, and a team that samples
+would never know.
 """
 
 from collections.abc import Callable
@@ -44,8 +45,8 @@ class ImitationConfig:
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
-    the buffer and train the critics. The policy gradient takes only their worst actions from them
-    (`blame_greedy`)."""
+    the buffer and train the critics. The policy gradient takes only their worst actions, once play
+    that samples succeeds (`blame_greedy`)."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
@@ -112,16 +113,20 @@ def without_greedy(
 
 
 def blame_greedy(
-    advantage: Float[Array, "T E N"], greedy: bool | Bool[Array, "E 1"]
+    advantage: Float[Array, "T E N"],
+    greedy: bool | Bool[Array, " E"],
+    reward: Float[Array, "T E"],
 ) -> Float[Array, "T E N"]:
-    """Replace normalized advantages A of copies that act greedily by min(A + 1, 0).
+    """Replace normalized advantages A of copies that act greedily by w min(A + 1, 0).
 
-    The greedy action is made less likely where it is more than one deviation worse than the mean,
-    and is never made likelier.
+    A greedy action that is more than one deviation worse than the mean is made less likely, and
+    none is made likelier. The weight w is the share of the other copies that the environment
+    rewarded in the rollout: where sampled play hardly succeeds, greedy play is not to blame.
     """
     if greedy is False:
         return advantage
-    return jnp.where(greedy, jnp.minimum(advantage + 1.0, 0.0), advantage)
+    weight = (reward > 0).any(axis=0).mean(where=~greedy)
+    return jnp.where(per_agent(greedy), weight * jnp.minimum(advantage + 1.0, 0.0), advantage)
 
 
 NO_IMITATION = Imitation(

@@ -160,8 +160,8 @@ def low_batch(
     """Build B_l: advantages and targets over all T steps, then sequences of L steps.
 
     GAE runs straight through changes of skill: the value of the next step is V_l(s', Z') with the
-    skill in use there. Advantages are normalized over the agents that have a choice, and are 0 in
-    copies that act greedily.
+    skill in use there. Advantages are normalized over the agents that have a choice in copies that
+    sample.
     """
     config, transitions = parts.config, rollout.transitions
     ppo, timestep = config.ppo, transitions.timestep
@@ -181,10 +181,10 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
-    greedy = per_agent(greedy_copies(config.imitation, ppo.num_envs))
-    active = without_greedy(has_choice(timestep.action_mask), greedy)
+    greedy = greedy_copies(config.imitation, ppo.num_envs)
+    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
     advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
-    advantage = blame_greedy(advantage, greedy)
+    advantage = blame_greedy(advantage, greedy, outcome.reward)
     steps = SequenceBatch(
         memory=extras.low,
         first=transitions.first,

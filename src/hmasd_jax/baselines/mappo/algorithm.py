@@ -174,8 +174,8 @@ def make_batch(
         reward, extras.value, last_value, outcome, value_of_outcome, state.norm, config.ppo
     )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
-    greedy = per_agent(greedy_copies(config.imitation, config.ppo.num_envs))
-    active = without_greedy(has_choice(timestep.action_mask), greedy)
+    greedy = greedy_copies(config.imitation, config.ppo.num_envs)
+    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
     steps = SequenceBatch(
         memory=extras.memory,
         first=transitions.first,
@@ -185,7 +185,7 @@ def make_batch(
         action=transitions.action,
         log_prob=extras.log_prob,
         value=extras.value,
-        advantage=blame_greedy(normalize(advantage, active), greedy),
+        advantage=blame_greedy(normalize(advantage, active), greedy, outcome.reward),
         target=target,
     )
     return sequences(steps, config.ppo.sequence_length)
