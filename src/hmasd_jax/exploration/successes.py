@@ -8,7 +8,7 @@ little.
 A team that has just learned to win often does so greedily long before it does by chance: one action
 at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
 may act greedily, so that there are successes to imitate. The policy gradient takes from them only
-goes wrong although teams that sample succeed. Their better actions would make what is likely
+what goes wrong although teams that sample succeed. Their better actions would make what is likely
 likelier still. Without the worse ones, greedy play could wait for ever, and a team that samples
 would never know.
 """
@@ -127,6 +127,26 @@ def blame_greedy(
         return advantage
     weight = (reward > 0).any(axis=0).mean(where=~greedy)
     return jnp.where(per_agent(greedy), weight * jnp.minimum(advantage + 1.0, 0.0), advantage)
+
+
+def normalize_and_blame(
+    advantage: Float[Array, "T E N"],
+    action_mask: Bool[Array, "T E N actions"],
+    reward: Float[Array, "T E"],
+    greedy: bool | Bool[Array, " E"],
+    normalize: Callable[[Array, Array], Array],
+) -> Float[Array, "T E N"]:
+    """Normalize advantages over agents with a choice in copies that sample, and blame the others.
+
+    Args:
+        advantage: advantages of all copies.
+        action_mask: True for actions that agents can take.
+        reward: rewards of the environment.
+        greedy: True for copies that act greedily; False if there is none.
+        normalize: function of the advantages, and of whether each counts.
+    """
+    active = without_greedy(has_choice(action_mask), per_agent(greedy))
+    return blame_greedy(normalize(advantage, active), greedy, reward)
 
 
 NO_IMITATION = Imitation(

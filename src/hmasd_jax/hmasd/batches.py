@@ -1,17 +1,13 @@
 """Turn a rollout into the batches of the three losses: rewards, advantages, sequences."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from hmasd_jax.exploration.successes import (
-    blame_greedy,
-    greedy_copies,
-    per_agent,
-    without_greedy,
-)
+from hmasd_jax.exploration.successes import greedy_copies, normalize_and_blame, without_greedy
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
@@ -21,7 +17,6 @@ from hmasd_jax.hmasd.rollout_phase import Rollout
 from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
 from hmasd_jax.networks.recurrent import apply
 from hmasd_jax.rl.gae import gae, normalize_advantage, rollout_advantage
-from hmasd_jax.rl.ppo import has_choice
 from hmasd_jax.rl.rollout import flatten, following
 from hmasd_jax.rl.value_norm import ValueNorm, denormalize
 from hmasd_jax.types import Key
@@ -182,9 +177,10 @@ def low_batch(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
     greedy = greedy_copies(config.imitation, ppo.num_envs)
-    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
-    advantage = normalize_advantage(advantage, active, config.low_advantage_floor)
-    advantage = blame_greedy(advantage, greedy, outcome.reward)
+    advantage = normalize_and_blame(
+        advantage, timestep.action_mask, outcome.reward, greedy,
+        partial(normalize_advantage, floor=config.low_advantage_floor),
+    )  # fmt: skip
     steps = SequenceBatch(
         memory=extras.low,
         first=transitions.first,

@@ -21,12 +21,7 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
-from hmasd_jax.exploration.successes import (
-    blame_greedy,
-    greedy_copies,
-    per_agent,
-    without_greedy,
-)
+from hmasd_jax.exploration.successes import greedy_copies, normalize_and_blame, per_agent
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
     SequenceBatch,
@@ -37,7 +32,6 @@ from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
-from hmasd_jax.rl.ppo import has_choice
 from hmasd_jax.rl.sgd import ppo_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, StepFn, Transition
@@ -175,7 +169,9 @@ def make_batch(
     )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
     greedy = greedy_copies(config.imitation, config.ppo.num_envs)
-    active = without_greedy(has_choice(timestep.action_mask), per_agent(greedy))
+    advantage = normalize_and_blame(
+        advantage, timestep.action_mask, outcome.reward, greedy, normalize
+    )
     steps = SequenceBatch(
         memory=extras.memory,
         first=transitions.first,
@@ -185,7 +181,7 @@ def make_batch(
         action=transitions.action,
         log_prob=extras.log_prob,
         value=extras.value,
-        advantage=blame_greedy(normalize(advantage, active), greedy, outcome.reward),
+        advantage=advantage,
         target=target,
     )
     return sequences(steps, config.ppo.sequence_length)
