@@ -20,7 +20,7 @@ from rich.table import Table
 from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.runs import folder as run_folder
-from hmasd_jax.training.compiled import build_executable
+from hmasd_jax.training.compiled import Runs, build_executable
 from hmasd_jax.training.workers import pin
 
 ABOUT = ("cpu", "cores", "device", "jax", "python", "commit")
@@ -97,10 +97,10 @@ def _timing(walls: tuple[float, ...], cpus: tuple[float, ...]) -> Timing:
     return Timing(median, statistics.median(cpus), (max(walls) - min(walls)) / median)
 
 
-def compiled(function: Callable, *args: Any, runs_once: bool = False) -> tuple[Callable, float]:
+def compiled(function: Callable, *args: Any, runs: Runs = "often") -> tuple[Callable, float]:
     """Compile as the trainer does; return the executable and the seconds to trace and compile."""
     start = time.perf_counter()
-    executable = build_executable(jax.jit(function), *args, runs_once=runs_once)
+    executable = build_executable(jax.jit(function), *args, runs=runs)
     return executable, time.perf_counter() - start
 
 

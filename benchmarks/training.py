@@ -84,7 +84,7 @@ def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
     _, config = preset(env, algorithm, quick)
     env_steps = config.env_steps_per_update
     _, learner = configs.build(config)
-    init, init_s = compiled(learner.init, jax.random.key(0), runs_once=True)
+    init, init_s = compiled(learner.init, jax.random.key(0), runs="once")
     state = init(jax.random.key(0))
     rows = [Row("init", env, algorithm, seeds=1, compile_s=init_s, peak_rss_mb=peak_rss_mb())]
     ceiling = ceiling_gflops(repeats)
@@ -112,7 +112,7 @@ def bench_compilation(env: str, algorithm: str, quick: bool) -> list[Row]:
     """Measure compilation in this process, without running anything."""
     _, learner = configs.build(preset(env, algorithm, quick)[1])
     key = jax.random.key(0)
-    _, init_s = compiled(learner.init, key, runs_once=True)
+    _, init_s = compiled(learner.init, key, runs="once")
     _, update_s = compiled(learner.update, jax.eval_shape(learner.init, key))
     seconds = {"init": init_s, "update": update_s}
     return [

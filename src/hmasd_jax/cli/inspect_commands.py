@@ -78,7 +78,7 @@ def _compile(evaluation: Callable[[Any, Key], Metrics], template: Any) -> Callab
     lowered = lower(jax.jit(evaluation), template, key)
     return load_or_compile(
         [lowered],
-        lambda: compile_lowered(lowered),
+        lambda: compile_lowered(lowered, "seldom"),
         lambda program: program(jax.tree.map(fill, template), key),
     )
 
