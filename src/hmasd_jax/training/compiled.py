@@ -18,7 +18,7 @@ from hmasd_jax.types import Algorithm, Key, Learner, Metrics
 BatchPlacement = Literal["vmap", "map", "sharded"]
 
 Runs = Literal["once", "seldom", "often"]
-"""How often a program runs, which decides how much to optimize it."""
+"""Frequency of a program's runs, which decides how much to optimize it."""
 
 EVALUATION = 2**31
 """Number folded into the experiment's key for evaluations. For training it is the index of a seed,
@@ -144,7 +144,7 @@ def build_executable(
     Args:
         function: Jitted function.
         *args: Arguments, or their shapes and dtypes.
-        runs: How often the program runs.
+        runs: Frequency of the runs.
     """
     return compile_lowered(lower(function, *args), runs)
 
@@ -174,7 +174,7 @@ def compile_lowered(lowered: jax.stages.Lowered, runs: Runs = "often") -> jax.st
 
     Args:
         lowered: Traced function.
-        runs: How often the program runs.
+        runs: Frequency of the runs.
     """
     options: dict[str, str | bool] = {}
     if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
