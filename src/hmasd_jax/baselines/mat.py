@@ -241,8 +241,8 @@ def replay(
 ) -> tuple[Float[Array, "S N actions"], Float[Array, "S N"]]:
     """Return logits and values of all samples.
 
-    A CPU computes them chunk by chunk, and again for the gradient. An update then takes two thirds
-    of the time of one with arrays that do not fit the cache.
+    A CPU computes them chunk by chunk, and again for the gradient. That takes less time than one
+    pass over arrays that do not fit its cache.
     """
 
     def network(inputs):

@@ -20,6 +20,9 @@ BatchPlacement = Literal["vmap", "map", "sharded"]
 Runs = Literal["once", "seldom", "often"]
 """Frequency of a program's runs, which decides how much to optimize it."""
 
+RUNS: tuple[Runs, ...] = ("once", "often", "seldom")
+"""Frequencies of `init`, `advance` and `evaluate`."""
+
 EVALUATION = 2**31
 """Number folded into the experiment's key for evaluations. For training it is the index of a seed,
 which is smaller."""
@@ -112,10 +115,9 @@ def compile_programs(
         lower(advance_seeds, states, count),
         lower(evaluate_seeds, states, keys),
     )
-    runs: tuple[Runs, ...] = ("once", "often", "seldom")
     programs = load_or_compile(
         lowered,
-        lambda: tuple(map(compile_lowered, lowered, runs)),
+        lambda: tuple(map(compile_lowered, lowered, RUNS)),
         lambda programs: _first_update(keys, *programs),
     )
     init, advance_by, evaluate_at = programs
@@ -169,8 +171,8 @@ def compile_lowered(lowered: jax.stages.Lowered, runs: Runs = "often") -> jax.st
 
     On a CPU, programs are compiled at LLVM's first level of optimization, or at none if they run
     once. HMASD runs as fast as at the last level, and its `init` compiles in two thirds of the
-    time. The older emitters of fused kernels compile an evaluation in two thirds of the time. It
-    runs for a tenth longer, which is hundredths of a second.
+    time. The older emitters of fused kernels compile sooner to slower programs, which saves time
+    where evaluations are seldom.
 
     Args:
         lowered: Traced function.
