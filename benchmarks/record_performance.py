@@ -27,6 +27,7 @@ BENCHMARKS = {
     "training": "benchmarks/training.py",
     "versions": "benchmarks/versions.py e5f0d7b f443450 223bcfc 3effb21 2856573 7dc47dd 65773a2"
     " 57e879c",
+    "versions_mat": "benchmarks/versions.py 88900ff 2efd8d6 --algorithm mat",
     "seeds": "benchmarks/seeds.py",
     "compare": "benchmarks/compare.py --jaxmarl JaxMARL",
     "maser": "benchmarks/maser.py --python TORCH/bin/python --checkout MASER"
