@@ -1,6 +1,7 @@
 """Checks that hold for every algorithm."""
 
 import jax
+import pytest
 
 
 def assert_no_key_is_used_twice(algorithm, num_envs):
@@ -13,5 +14,10 @@ def assert_no_key_is_used_twice(algorithm, num_envs):
         memory = policy.init((num_envs,))
         return policy.step(memory, state.env.timestep, state.env.first, key_act)
 
+    def reuses(key):
+        return jax.random.normal(key) + jax.random.uniform(key)
+
     with jax.debug_key_reuse(True):
         jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
+        with pytest.raises(jax.errors.KeyReuseError):  # The line above would raise it, too.
+            jax.make_jaxpr(jax.jit(reuses))(jax.random.key(0))

@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
+from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.novelty import NoveltyConfig
+from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.algorithm import low_entropy_coef, make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
+from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.hmasd.rollout_phase import collect
+from tests.helpers.algorithms import assert_no_key_is_used_twice
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "hmasd"
 
@@ -202,23 +207,19 @@ def test_jit_is_eager(parts, trained, rollout):
     _assert_close(jax.jit(loss)(rollout), loss(rollout), atol=1e-5)
 
 
-def test_no_key_is_used_twice(parts):
-    algorithm = make_hmasd(parts.env, parts.config)
+EVERY_PART = {
+    "discriminator_noise": 1.0,
+    "distance": DistanceConfig(individual_coef=1.0, team_coef=1.0),
+    "novelty": NoveltyConfig(coef=1.0),
+    "frontier": FrontierConfig(coef=1.0),
+    "imitation": ImitationConfig(coef=1.0, greedy_copies=1),
+}
 
-    def init_update_act(key):
-        key_init, key_act = jax.random.split(key)
-        state, _ = algorithm.update(algorithm.init(key_init))
-        policy = algorithm.policy(state, greedy=False)
-        memory = policy.init((parts.config.ppo.num_envs,))
-        return policy.step(memory, state.env.timestep, state.env.first, key_act)
 
-    def reuses(key):
-        return jax.random.normal(key) + jax.random.uniform(key)
-
-    with jax.debug_key_reuse(True):
-        jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
-        with pytest.raises(jax.errors.KeyReuseError):  # what the line above would raise
-            jax.make_jaxpr(jax.jit(reuses))(jax.random.key(0))
+@pytest.mark.parametrize("optional", [{}, EVERY_PART], ids=["the paper's", "every part"])
+def test_no_key_is_used_twice(parts, optional):
+    config = replace(parts.config, **optional)
+    assert_no_key_is_used_twice(make_hmasd(parts.env, config), config.ppo.num_envs)
 
 
 def entropy_weight(parts, num_updates, bonus_state=(), **changes):

@@ -30,6 +30,7 @@ from hmasd_jax.hmasd.rollout_phase import (
 from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
+from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
@@ -56,7 +57,7 @@ def make_hmasd(env: Environment, config: HMASDConfig) -> Algorithm:
     """Build HMASD for `env`.
 
     Raises:
-        ValueError: settings that contradict each other (from `HMASDConfig`).
+        ConfigError: `discriminator_obs` names a feature that obs does not have.
     """
     parts = make_parts(env, config)
 
@@ -83,7 +84,7 @@ def init_state(parts: Parts, key: Key) -> HMASDState:
     key, key_learners, key_env = jax.random.split(key, 3)
     ppo = parts.config.ppo
     coordinator, discoverer, discriminators = init_learners(parts, key_learners)
-    key_distance, key_bonus = jax.random.split(jax.random.fold_in(key, 1))
+    key_distance, key_bonus = jax.random.split(key_beside(key, 0))
     return HMASDState(
         key=key,
         num_updates=jnp.int32(0),
@@ -124,7 +125,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     team_reward = rollout.transitions.outcome.reward
     reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
     bonus_state, extra_reward, bonus_metrics = exploration_reward(
-        parts, state, rollout, jax.random.fold_in(key, 2)
+        parts, state, rollout, key_beside(key, 1)
     )
     reward = reward.reshape(*team_reward.shape, -1) + extra_reward
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
@@ -243,13 +244,13 @@ def train_exploration(
         rollout: rollout to learn from.
         batch: B_l of the rollout.
         discoverer: discoverer after Eq. 7, which imitation trains further.
-        key: key of the next state. What is drawn here is folded into it, so that the draws of the
-            paper's parts stay as they are.
+        key: key of the next state. Draws here use keys beside those of its split, so that the
+            draws of the paper's parts stay as they are.
 
     Returns:
         The discoverer, the new fields of the state by name, and metrics.
     """
-    key_store, key_distance = jax.random.split(jax.random.fold_in(key, 1))
+    key_store, key_distance = jax.random.split(key_beside(key, 0))
     distance, distance_metrics = parts.distance.train(
         state.distance, skill_steps(rollout), key_distance
     )

@@ -23,6 +23,7 @@ from hmasd_jax.hmasd.discriminators import (
 )
 from hmasd_jax.hmasd.distance import SkillReward, make_distance
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic
+from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.rl.sgd import make_optimizer
 from hmasd_jax.types import Key, Learner
 from hmasd_jax.validation import ConfigError
@@ -91,7 +92,7 @@ def init_learners(parts: Parts, key: Key) -> tuple[Learner, Learner, Learner]:
     actor, critic = parts.discoverer.actor, parts.discoverer.critic
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     q_team, q_individual = parts.discriminators
-    seen = observe(SkillPair(state=state, obs=obs, skills=tokens), config, key)
+    seen = observe(SkillPair(state=state, obs=obs, skills=tokens), config, key_beside(key, 0))
     team_skills = jnp.zeros((1, env.num_agents, config.num_team_skills))
     coordinator = parts.coordinator.init(key_coordinator, state, obs, tokens)
     discoverer = {

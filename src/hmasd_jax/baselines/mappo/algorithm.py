@@ -32,6 +32,7 @@ from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
+from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.rl.sgd import ppo_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, StepFn, Transition
@@ -94,7 +95,7 @@ def init_state(parts: Parts, key: Key) -> MAPPOState:
         memory=memory,
         learner=learner,
         norm=ValueNorm.create(),
-        bonus=parts.bonus.init(jax.random.fold_in(key, 1)),
+        bonus=parts.bonus.init(key_beside(key, 0)),
         successes=parts.imitation.init(),
     )
 
@@ -215,7 +216,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         parts.env, act_and_evaluate(parts, state.learner.params),
         state.env, state.memory, key_rollout, ppo.rollout_length,
     )  # fmt: skip
-    key_bonus, key_store = jax.random.split(jax.random.fold_in(key, 1))
+    key_bonus, key_store = jax.random.split(key_beside(key, 0))
     bonus_state, bonus, bonus_metrics = parts.bonus.update(
         state.bonus, transitions.outcome, key_bonus
     )
