@@ -123,6 +123,29 @@ def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_ch
     jax.tree.map(np.testing.assert_array_equal, trained.params["critic"], learner.params["critic"])
 
 
+@pytest.mark.parametrize(("coef", "steps"), [(1.0, 3 * (2 + 5)), (0.0, 3 * 2)])
+def test_the_step_size_counts_the_steps_of_imitation(coef, steps):
+    config = MAPPOConfig(
+        imitation=ImitationConfig(coef=coef, steps=5),
+        ppo=replace(PPO, num_epochs=2, decay_updates=3),
+    )
+    optimizer = mappo.make_parts(ENV, config).optimizer
+    params = {"actor": jnp.ones(1), "critic": jnp.ones(1)}
+
+    def step(state, _):
+        updates, state = optimizer.update(params, state, params)
+        return state, updates["actor"][0]
+
+    moves = jax.lax.scan(step, optimizer.init(params), None, length=steps + 1)[1]
+    assert (moves[:steps] < 0).all()
+    assert moves[steps] == 0
+
+
+def test_a_rollout_stores_at_most_what_the_buffer_holds():
+    with pytest.raises(ValueError, match="inserts must be between 1 and 3, got 4"):
+        ImitationConfig(capacity=3, inserts=4)
+
+
 def test_without_a_weight_nothing_is_stored():
     parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
     assert parts.imitation is NO_IMITATION

@@ -48,9 +48,16 @@ class ImitationConfig:
     the buffer and train the critics. The policy gradient takes only their worst actions, once play
     that samples succeeds (`blame_greedy`)."""
 
+    @property
+    def steps_per_update(self) -> int:
+        """Gradient steps per rollout, once something is stored."""
+        return self.steps if self.coef else 0
+
     def __post_init__(self) -> None:
         check_range(self, "coef", low=0)
-        check_range(self, "steps", "capacity", "inserts", low=1)
+        check_range(self, "steps", "capacity", low=1)
+        # With more, two sequences of one rollout would go to the same slot.
+        check_range(self, "inserts", low=1, high=self.capacity)
         check_range(self, "greedy_copies", low=0)
 
     def check_copies(self, num_envs: int) -> None:
@@ -169,7 +176,7 @@ def make_imitation(
     Args:
         env: environment.
         networks: actor and critic. The actor imitates.
-        optimizer: optimizer of the networks.
+        optimizer: optimizer of the networks, which counts these steps beside those of PPO.
         config: settings.
         ppo: lengths, sizes and discount.
         has_skills: if True, the actor depends on skills.

@@ -60,7 +60,8 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
             f"(0 to {env.obs_dim - 1})"
         )
     discoverer = make_discoverer(env, config)
-    discoverer_optimizer = make_optimizer(ppo, NETWORKS)
+    low_steps = ppo.steps_per_update + config.imitation.steps_per_update
+    discoverer_optimizer = make_optimizer(ppo, NETWORKS, low_steps)
     return Parts(
         env=env,
         config=config,

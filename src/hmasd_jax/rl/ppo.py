@@ -52,6 +52,11 @@ class PPOConfig:
     sequence_length: int = 10
     """L, steps of backpropagation through time. Rollouts are cut into sequences of this length."""
 
+    @property
+    def steps_per_update(self) -> int:
+        """Gradient steps of PPO per rollout."""
+        return self.num_epochs * self.num_minibatches
+
     def __post_init__(self) -> None:
         counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches")
         check_range(self, *counts, "sequence_length", low=1)

@@ -30,7 +30,7 @@ def make_optimizer(
         networks: top-level names in the parameters. Each is clipped separately.
         steps_per_update: gradient steps per rollout, for the schedule. The default is that of PPO.
     """
-    per_update = steps_per_update or config.num_epochs * config.num_minibatches
+    per_update = steps_per_update or config.steps_per_update
     step_size: optax.ScalarOrSchedule = config.learning_rate
     if config.decay_updates:
         step_size = optax.linear_schedule(

@@ -83,7 +83,8 @@ def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
     networks = ActorCritic(
         actor=net(env.num_actions, size, gain=SMALL_GAIN), critic=net(1, size, gain=1.0)
     )
-    optimizer = make_optimizer(config.ppo, NETWORKS)
+    steps = config.ppo.steps_per_update + config.imitation.steps_per_update
+    optimizer = make_optimizer(config.ppo, NETWORKS, steps)
     return Parts(
         env=env,
         config=config,
