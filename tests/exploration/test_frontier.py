@@ -146,6 +146,14 @@ def test_the_entropy_fades_with_the_square_of_the_unsolved_share(fade_entropy, w
     assert bonus.entropy_weight(won) == weight
 
 
+def test_a_window_without_an_end_of_an_episode_is_unsolved():
+    bonus = make_frontier(ENV, dataclasses.replace(CONFIG, window=1), NUM_ENVS)
+    outcome = rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False)
+    frontier, reward = train(bonus, bonus.init(jax.random.key(0)), outcome)
+    assert unsolved(frontier) == 1.0
+    assert jnp.isfinite(reward).all()
+
+
 def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_return(bonus, empty):
     outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
     _, without = train(bonus, empty, outcome)

@@ -140,7 +140,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:
     """Return the share of recent episodes that no reward ended."""
-    return 1.0 - frontier.successes / frontier.episodes
+    return 1.0 - frontier.successes / jnp.maximum(frontier.episodes, 1.0)
 
 
 def faded_entropy(frontier: Frontier) -> Float[Array, ""]:
@@ -152,6 +152,9 @@ def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Bool[Array, "T E 2 state bins"]]:
     """Count the episodes of a rollout that reach each bin, those that a reward ended, and rewards.
+
+    The first step of an episode reaches nothing: `outcome` does not hold the state that it is taken
+    in.
 
     Args:
         frontier: state before the rollout.
