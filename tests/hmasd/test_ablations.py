@@ -133,3 +133,11 @@ def test_skills_that_last_for_the_episode_may_outlast_the_rollout(random):
     assert longer.num_segments == 2 * longer.ppo.num_envs
     with pytest.raises(ValueError, match="is not a multiple of skill_interval 300"):
         replace(longer, segment_clock="rollout")
+
+
+def test_a_coordinator_that_learns_needs_a_choice_of_skills_in_every_rollout(random):
+    length = random.ppo.rollout_length
+    replace(random, coordinator="learned", skill_interval=length)
+    message = f"skill_interval must be at most ppo.rollout_length = {length}"
+    with pytest.raises(ValueError, match=re.escape(message)):
+        replace(random, coordinator="learned", skill_interval=length + 1)

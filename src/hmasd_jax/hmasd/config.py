@@ -111,6 +111,12 @@ class HMASDConfig:
             check_multiple(
                 "ppo.rollout_length", ppo.rollout_length, "skill_interval", self.skill_interval
             )
+        elif self.coordinator != "random" and self.skill_interval > ppo.rollout_length:
+            raise ValueError(
+                f"skill_interval must be at most ppo.rollout_length = {ppo.rollout_length} with a "
+                f"coordinator that learns, got {self.skill_interval}: a rollout may else hold no "
+                "choice of skills to learn from"
+            )
         self.imitation.check_copies(ppo.num_envs)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
         # The coordinator's samples are segments, fewer than the sequences of the low level.
