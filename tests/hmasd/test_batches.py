@@ -262,12 +262,6 @@ def test_time_limits_are_terminal_unless_bootstrapped_with_the_true_last_state()
     assert_allclose(batch.target.reshape(-1)[:2], [2.0, 2.0])
 
 
-def test_the_last_value_forgets_if_the_rollout_ends_with_an_episode():
-    # Only its memory matters here: the done step itself is never bootstrapped.
-    rollout = _rollout(terminated=(0, 0, 0, 1))
-    assert_allclose(_low(_parts(), rollout).target.reshape(-1)[3], 8.0)
-
-
 def test_each_sequence_begins_with_the_memory_of_its_first_step():
     batch = _low(_parts(), _rollout(terminated=(0, 0, 1, 0)))
     np.testing.assert_array_equal(batch.state[..., 0], [[0, 10], [20, 30]])

@@ -2,7 +2,7 @@
 
 phi maps observations to one dimension per skill such that one step moves it by at most 1 on
 average. A skill is paid for the distance it moves along its own direction, so that the best skills
-travel far, not merely apart from each other. The masks below sum to 0 over the skills: an untrained
+travel far, not merely apart from each other. The directions of all skills sum to 0: an untrained
 phi pays nothing on average, and standing still pays 0.
 """
 

@@ -64,5 +64,5 @@ def read(table: Table, keys: Keys) -> Float[Array, "*batch"]:
 
 
 def load(table: Table) -> Float[Array, ""]:
-    """Return the fraction of slots in use. At its power of `ROWS`, a new key's count is wrong."""
+    """Return the share of slots in use, p. A new key's count is wrong with chance p^`ROWS`."""
     return (table[0] > 0).mean()
