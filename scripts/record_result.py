@@ -12,11 +12,11 @@ import json
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hmasd_jax.analysis.curves import Reference, plot_result, recorded_curves
-from hmasd_jax.analysis.figures import draw_groups
+from hmasd_jax.analysis.curves import Reference, plot_result
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.analysis.statistics import last_evaluations, summarize
 from scripts.records import RESULTS, ROOT
+from scripts.result_figures import TOGETHER, draw_together
 from scripts.run_records import record_together
 
 PAGE = ROOT / "docs" / "results.md"
@@ -96,8 +96,6 @@ over the last {last} evaluations of each seed, then over seeds. "±" is the (pop
 deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootstrap interval of the
 mean, and "worst" is the worst seed.
 """
-TOGETHER = ("compared", "ablations")
-"""Names of the images that show several runs."""
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
 )
@@ -106,19 +104,6 @@ COLUMNS = (
 def recorded(task: str) -> list[Path]:
     """Return the recorded files of a task, sorted by name."""
     return sorted((RESULTS / task).glob("*.json"))
-
-
-def draw_together(task: str) -> None:
-    """Draw the algorithms on a task into one image, and HMASD with its ablations into another."""
-    files = recorded(task)
-    ablations = [path for path in files if path.stem.startswith("no")]
-    algorithms = [path for path in files if path not in ablations]
-    full = [path for path in files if path.stem == "hmasd"]
-    metric = json.loads(files[0].read_text())["metric"]
-    for name, paths in zip(TOGETHER, (algorithms, full + ablations)):
-        if paths != full:  # HMASD alone already has an image of its own
-            curves = [recorded_curves(path) for path in paths]
-            draw_groups(curves, task, metric, RESULTS / task / f"{name}.png")
 
 
 def algorithm_of(path: Path) -> str:
@@ -182,7 +167,7 @@ def keep(runs: list[Path], out: Path) -> None:
     out.write_text(json.dumps(kept) + "\n")
     if algorithm_of(out) == "hmasd":
         plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
-    draw_together(task)
+    draw_together(task, recorded(task))
 
 
 def main() -> None:

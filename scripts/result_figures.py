@@ -1,0 +1,73 @@
+"""Images that show the recorded results of a task together."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hmasd_jax.analysis.curves import recorded_curves
+from hmasd_jax.analysis.figures import (
+    COLORS,
+    MAX_CURVES,
+    draw_curves,
+    finish,
+    label_ends,
+    name_band,
+    save,
+)
+from scripts.records import RESULTS
+
+TOGETHER = ("compared", "retired", "ablations")
+"""Names of the images that show several runs."""
+RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
+"""What the names of runs with retired presets, and on the way to them, begin with."""
+STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
+"""Configurations that look the same in all images."""
+
+
+def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
+    """Return the files that each image shows; images of HMASD alone are left out."""
+    ablations = [path for path in files if path.stem.startswith("no")]
+    retired = [path for path in files if path.stem.startswith(RETIRED)]
+    others = [path for path in files if path not in ablations + retired]
+    full = [path for path in files if path.stem == "hmasd"]
+    images = dict(zip(TOGETHER, (others, full + retired, full + ablations)))
+    return {name: paths for name, paths in images.items() if paths != full}
+
+
+def styles_of(names: Sequence[str]) -> list[int]:
+    """Return a number per configuration: its place in `STYLES`, or the smallest that is free."""
+    taken = {STYLES.index(name) for name in names if name in STYLES}
+    free = iter(number for number in range(len(STYLES) + len(names)) if number not in taken)
+    return [STYLES.index(name) if name in STYLES else next(free) for name in names]
+
+
+def draw_together(task: str, files: Sequence[Path]) -> None:
+    """Draw the images of a task, each configuration in one color."""
+    metric = json.loads(files[0].read_text())["metric"]
+    for name, paths in shown(files).items():
+        draw(paths, task, metric, RESULTS / task / f"{name}.png")
+
+
+def draw(files: Sequence[Path], title: str, metric: str, out: Path) -> Path:
+    """Draw recorded results, at most `MAX_CURVES` a panel, each labeled at its end."""
+    from matplotlib.figure import Figure
+
+    numbers = styles_of([path.stem for path in files])
+    groups = [recorded_curves(path) for path in files]
+    count = -(-len(files) // MAX_CURVES)
+    figure = Figure(figsize=(6.4, 0.8 + 3.4 * count), dpi=150, layout="constrained")
+    panels = figure.subplots(count, sharex=True, sharey=True, squeeze=False)[:, 0]
+    for axes, part in zip(panels, np.array_split(np.arange(len(files)), count)):
+        ends = []
+        for i in part:
+            label, curves = groups[i]
+            color = COLORS[numbers[i] % len(COLORS)]
+            ends.append(draw_curves(axes, curves, label, color, numbers[i]))
+        finish(axes, title if axes is panels[0] else "", metric)
+        label_ends(axes, ends)
+    name_band(panels[-1], [curves for _, curves in groups])
+    for axes in panels[:-1]:
+        axes.set_xlabel("")
+    return save(figure, out)

@@ -1,0 +1,35 @@
+"""Images of recorded results show few configurations, each in a color of its own."""
+
+from pathlib import Path
+
+import pytest
+
+from scripts import record_result, result_figures
+
+IMAGES = [
+    (task, name, paths)
+    for task in record_result.TASKS
+    for name, paths in result_figures.shown(record_result.recorded(task)).items()
+]
+
+
+@pytest.mark.parametrize(("task", "name", "paths"), IMAGES)
+def test_every_configuration_has_a_color_of_its_own(task, name, paths):
+    numbers = result_figures.styles_of([path.stem for path in paths])
+    assert len(set(numbers)) == len(numbers) <= len(result_figures.COLORS)
+
+
+def test_a_configuration_looks_the_same_in_all_images():
+    assert result_figures.styles_of(["hmasd", "mappo", "x"]) == [0, 3, 1]
+    assert result_figures.styles_of(["mappo", "hmasd_general", "x", "y"]) == [3, 1, 0, 2]
+
+
+def test_retired_presets_and_ablations_have_images_of_their_own():
+    names = ("hmasd", "hmasd_robust_again", "mappo", "nohigh")
+    shown = result_figures.shown([Path(f"{name}.json") for name in names])
+    assert {name: [path.stem for path in paths] for name, paths in shown.items()} == {
+        "compared": ["hmasd", "mappo"],
+        "retired": ["hmasd", "hmasd_robust_again"],
+        "ablations": ["hmasd", "nohigh"],
+    }
+    assert result_figures.shown([Path("hmasd.json")]) == {}
