@@ -17,6 +17,7 @@ from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.analysis.statistics import last_evaluations, summarize
 from scripts.records import RESULTS, ROOT
 from scripts.result_figures import TOGETHER, draw_together
+from scripts.result_settings import changed_settings, preset_of
 from scripts.run_records import record_together
 
 PAGE = ROOT / "docs" / "results.md"
@@ -94,11 +95,30 @@ of every seed. All but the oldest also hold the training metrics, as means over 
 run. A score is the success rate of greedy episodes in percent, or their mean return. It is averaged
 over the last {last} evaluations of each seed, then over seeds. "±" is the (population) standard
 deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootstrap interval of the
-mean, and "worst" is the worst seed.
+mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of training and evaluation,
+without compilation, summed over the seeds.
+
+A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
+
+| name ends in | meaning |
+|---|---|
+| `_general` | our preset with the same settings of the algorithm in all tasks |
+| `_robust` | a retired preset of ours with prior knowledge of the task |
+| `_again` | the same command as the row without it, at a later commit |
+| `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
+| `_disc` | the preset of the row without it, since units start in a disc (commit cf92a6c) |
+| `_lambda_095` | the retired preset with a lambda of GAE of 0.95 |
+| `_terminal` | an earlier form of the retired preset, for which the time limit ends the task |
+
+A row marked * has other settings than today's form of the preset that its command names: the preset
+has changed since, or the command changes it. A table below names these settings.
 """
 COLUMNS = (
-    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit | hours |"
+    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit "
+    "| minutes |"
 )
+DIFFERENCES = """| row | setting | recorded | today's preset |
+|---|---|---|---|"""
 
 
 def recorded(task: str) -> list[Path]:
@@ -116,8 +136,9 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     scale = 100 if kept["metric"] == "success" else 1
     final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
     low, high = final["interval"]
+    mark = " *" if changed_settings(kept) else ""
     cells = [
-        f"[{path.stem}](../{path.relative_to(ROOT)})",
+        f"[{path.stem}](../{path.relative_to(ROOT)}){mark}",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
         task.paper.get(algorithm_of(path), ""),
@@ -125,30 +146,57 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
         f"`{kept['commit'][:7]}`",
-        f"{sum(kept['wall_seconds']) / 3600:.1f}",
+        f"{sum(kept['wall_seconds']) / 60:.0f}",
     ]
     return f"| {' | '.join(cells)} |"
 
 
+def differences(files: list[Path], kept: list[dict[str, Any]]) -> list[str]:
+    """Return the lines of the table of settings that are not those of today's presets."""
+    rows = []
+    for path, result in zip(files, kept):
+        preset = preset_of(result)
+        for name, values in changed_settings(result).items():
+            was, now = (f"`{json.dumps(value)}`" for value in values)
+            rows.append(f"| {path.stem} | `{name}` | {was} | {now} in `{preset.name}` |")
+    return ["", DIFFERENCES, *rows] if rows else []
+
+
+def commands(files: list[Path], kept: list[dict[str, Any]]) -> list[str]:
+    """Return each command below the names of its rows, as an indented block."""
+    rows: dict[str, list[str]] = {}
+    for path, result in zip(files, kept):
+        rows.setdefault(result["command"], []).append(path.stem)
+    return [
+        line
+        for command, names in rows.items()
+        for line in (f"    # {', '.join(names)}", f"    {command}")
+    ]
+
+
+def section(name: str, task: Task) -> str:
+    """Return the part of the page on a task that has records."""
+    files = recorded(name)
+    kept = [json.loads(path.read_text()) for path in files]
+    columns = COLUMNS.format(bar=f"{task.bar:g}")
+    table = [
+        columns,
+        "|---" * COLUMNS.count(" | ") + "|---|",
+        *(row(path, result, task) for path, result in zip(files, kept)),
+        *differences(files, kept),
+    ]
+    images = [
+        f"![{image.stem}](../{image.relative_to(ROOT)})"
+        for image in sorted((RESULTS / name).glob("*.png"))
+        if image.stem in TOGETHER or image.with_suffix(".json") in files
+    ]
+    return "\n".join([f"## {name}\n", *table, "", *commands(files, kept), "", *images, ""])
+
+
 def page() -> str:
     """Return the text of docs/results.md."""
-    parts = [HEAD.format(last=LAST)]
-    for name, task in TASKS.items():
-        files = recorded(name)
-        if not files:
-            continue
-        kept = [json.loads(path.read_text()) for path in files]
-        rows = [row(path, result, task) for path, result in zip(files, kept)]
-        commands = dict.fromkeys(f"    {result['command']}" for result in kept)
-        images = [
-            f"![{image.stem}](../{image.relative_to(ROOT)})"
-            for image in sorted((RESULTS / name).glob("*.png"))
-            if image.stem in TOGETHER or image.with_suffix(".json") in files
-        ]
-        rule = "|---" * COLUMNS.count(" | ") + "|---|"
-        columns = COLUMNS.format(bar=f"{task.bar:g}")
-        parts += ["\n".join([f"## {name}\n", columns, rule, *rows, "", *commands, "", *images, ""])]
-    return "\n".join(parts)
+    sections = [section(name, task) for name, task in TASKS.items() if recorded(name)]
+    return "\n".join([HEAD.format(last=LAST), *sections])
 
 
 def keep(runs: list[Path], out: Path) -> None:

@@ -1,0 +1,47 @@
+"""Settings of recorded results beside those of today's presets."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hmasd_jax.config import from_json, identity, load, to_json
+from scripts.records import ROOT
+
+
+def preset_of(record: Mapping[str, Any]) -> Path:
+    """Return the preset that the command of a record names."""
+    config = re.search(r"--config (\S+)", record["command"])
+    assert config, f"no --config in {record['command']}"
+    return ROOT / config[1]
+
+
+def changed_settings(record: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Return the settings of a record that its preset has with another value today.
+
+    Each comes with the recorded value and the preset's. Seeds and the number of steps, which are
+    not the preset's choice, and settings that no longer exist are left out. A setting that did not
+    exist at the time has its default.
+    """
+    preset = to_json(load(preset_of(record)))
+    recorded = to_json(from_json(_known(record["config"], preset)))
+    old, new = _compared(recorded), _compared(preset)
+    return {name: (old[name], new[name]) for name in new if old[name] != new[name]}
+
+
+def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a table, at any depth, whose names `model` has, too."""
+    return {
+        name: _known(value, model[name]) if isinstance(model[name], Mapping) else value
+        for name, value in table.items()
+        if name in model
+    }
+
+
+def _compared(table: dict[str, Any]) -> dict[str, Any]:
+    """Return by dotted name what is compared, with the state's format spelled out."""
+    settings = identity(table)
+    del settings["seed"]
+    if settings["env.name"] == "micro_battle" and settings["env.state"] is None:
+        settings["env.state"] = settings["env.observation"]
+    return settings

@@ -1,0 +1,35 @@
+"""Records are compared with the presets that their commands name."""
+
+import json
+
+from scripts.records import RESULTS
+from scripts.result_settings import changed_settings, preset_of
+
+
+def _record(name):
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+def test_a_changed_preset_is_noticed():
+    assert changed_settings(_record("micro_battle/3m/hmasd")) == {"env.state": ("mappo", "smac")}
+
+
+def test_options_of_the_command_are_noticed():
+    record = _record("overcooked/cramped_room/hmasd_lambda_095")
+    assert preset_of(record).stem == "hmasd_robust"
+    assert changed_settings(record) == {"algorithm.ppo.gae_lambda": (0.95, 0.99)}
+
+
+def test_former_settings_and_other_words_for_the_same_are_no_differences():
+    record = _record("alice_and_bob/nohigh")
+    assert "discriminator_standardize" in record["config"]["algorithm"]
+    assert changed_settings(record) == {}
+    record = _record("micro_battle/3m/hmasd_robust")
+    assert "state" not in record["config"]["env"]
+    assert changed_settings(record) == {}
+
+
+def test_seeds_and_steps_are_no_differences():
+    record = _record("alice_and_bob/hmasd_robust_fresh")
+    changed = record["config"] | {"total_env_steps": 9_000_000, "num_seeds": 1, "seed": 7}
+    assert changed_settings(record | {"config": changed}) == {}
