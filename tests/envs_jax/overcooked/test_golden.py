@@ -1,4 +1,4 @@
-"""Overcooked compared with the original: recorded traces, optimal plans, and the package."""
+"""Overcooked compared with the original: recorded traces, plans, and the package."""
 
 import importlib.util
 from pathlib import Path
@@ -92,21 +92,21 @@ def test_traces_cover_the_rules(traces):
 
 
 @pytest.mark.parametrize(
-    ("layout", "start_cooking", "plan", "best"),
+    ("layout", "start_cooking", "plan", "earned"),
     [
         ("cramped_room", "interact", "cramped_room_new_240.txt", 240),
         ("asymmetric_advantages", "auto", "asymmetric_advantages_old_500.txt", 500),
     ],
 )
-def test_optimal_plans_earn_the_return_of_the_original(layout, start_cooking, plan, best):
+def test_plans_earn_the_return_of_the_original(layout, start_cooking, plan, earned):
     env = Overcooked(layout, start_cooking, random_seats=False)
     actions = np.loadtxt(GOLDEN / plan, dtype=np.int32)
     assert actions.shape == (400, 2)
     state, _ = env.reset(jax.random.key(0))
     step = lambda state, action: env.step(None, state, action)  # noqa: E731
     _, timesteps = jax.jit(lambda s, a: jax.lax.scan(step, s, a))(state, actions)
-    assert timesteps.reward.sum() == best
-    assert timesteps.info["soups"][-1] == best / 20
+    assert timesteps.reward.sum() == earned
+    assert timesteps.info["soups"][-1] == earned / 20
     assert timesteps.truncated.tolist() == [False] * 399 + [True]
 
 
