@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from envs_jax import registry
+from tests.helpers.runs import save_checkpoint, write_run
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -21,6 +22,8 @@ LINK = re.compile(r"\]\(([^)\s]+)\)")
 NAME = re.compile(r"`((?:hmasd_jax|envs_jax)(?:\.\w+)+)`")
 FOLDERS = "benchmarks|configs|docs|envs_jax|results|scripts|src|tests"
 PATH = re.compile(rf"`((?:{FOLDERS})/[\w./*{{}},-]*)`")
+RUN = "runs/hmasd"
+"""Run that code blocks load. It is written for them, with a policy that is not trained."""
 HISTORY = {"CHANGELOG.md"}
 """Pages that name what is gone."""
 
@@ -40,6 +43,10 @@ def test_code_blocks_run(page, tmp_path, monkeypatch):
     # The environments that a page registers are forgotten afterwards.
     monkeypatch.setattr(registry, "ENVIRONMENTS", dict(registry.ENVIRONMENTS))
     text = page.read_text()
+    if any(RUN in block[2] for block in BLOCK.finditer(text)):
+        (tmp_path / RUN).parent.mkdir()
+        run = write_run(tmp_path / RUN, [[0.0]], **{"algorithm.ppo.hidden_size": 8})
+        save_checkpoint(run, seed=0, env_steps=100)
     namespace = {"__name__": page.stem}
     left_out = set()
     for block in BLOCK.finditer(text):
@@ -56,7 +63,8 @@ def test_code_blocks_run(page, tmp_path, monkeypatch):
 
 def test_pages_have_code():
     names = {_name(page) for page in _with_code()}
-    guides = {f"docs/guides/{stem}.md" for stem in ("adapters", "new_algorithm", "new_environment")}
+    stems = ("adapters", "new_algorithm", "new_environment", "running")
+    guides = {f"docs/guides/{stem}.md" for stem in stems}
     tasks = ("alice_and_bob", "overcooked", "micro_battle")
     assert names >= guides | {f"docs/environments/{task}.md" for task in tasks}
 
