@@ -159,6 +159,28 @@ def test_a_missing_optional_package_is_told_before_anything_starts(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture
+def without(monkeypatch):
+    """`without(package)`: make an optional package absent, also for modules that had it."""
+
+    def remove(package):
+        for name in list(sys.modules):
+            if name.split(".")[0] == package or name.startswith("hmasd_jax.report."):
+                monkeypatch.delitem(sys.modules, name)
+        monkeypatch.setitem(sys.modules, package, None)
+
+    return remove
+
+
+@pytest.mark.parametrize("package", ["plotly", "jinja2", "imageio", "PIL", "matplotlib"])
+@pytest.mark.parametrize("more", [[], ["--serve"]])
+def test_a_report_tells_which_package_it_lacks(package, more, without, capsys, tmp_path):
+    without(package)
+    assert main(["report", str(tmp_path), *more]) == 2
+    remedy = f"a report needs the package {package}: pip install 'hmasd-jax[report]'"
+    assert capsys.readouterr().err == f"error: {remedy}\n"
+
+
 def test_help_explains_every_field(capsys):
     assert main(["seed_sweep", "--help", "--env.observation", "one_hot", "--seed", "7"]) == 0
     text = capsys.readouterr().out

@@ -1,11 +1,13 @@
-"""Views of a search in a report: Optuna's plots, and the trials beside the preset."""
+"""Views of a search in a report: Optuna's plots, and the trials beside the preset.
+
+Plotly is imported by the functions that draw, so that a report can tell first if it is missing.
+"""
 
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hmasd_jax.report.charts import RUN_COLORS, dress, embed
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.search.space import value_of
 from hmasd_jax.search.study import Search, is_search, read_search, trial_folder
@@ -72,6 +74,8 @@ def view_search(search: Search, name: str) -> SearchView:
         search: The search.
         name: Beginning of the ids of its elements, unique on the page.
     """
+    from hmasd_jax.report.charts import embed
+
     study, score = complete_trials(search), describe_score(search)
     importances = draw_importances(study)
     return SearchView(
@@ -99,6 +103,8 @@ def draw_history(study: "optuna.Study", metric: str) -> "go.Figure":
     """Draw the score of each complete trial, and the best one so far."""
     import optuna
 
+    from hmasd_jax.report.charts import RUN_COLORS, dress
+
     figure = optuna.visualization.plot_optimization_history(study, target_name=metric)
     figure.data = tuple(figure.select_traces(lambda trace: len(trace.x)))
     figure.update_traces(marker_color=RUN_COLORS[0], selector={"mode": "markers"})
@@ -114,6 +120,8 @@ def draw_importances(study: "optuna.Study") -> "go.Figure | None":
         The figure; None with too few trials with values, or equal scores.
     """
     import optuna
+
+    from hmasd_jax.report.charts import RUN_COLORS, dress
 
     valued = [trial for trial in study.trials if trial.params]
     if len(valued) < ENOUGH or len({trial.value for trial in valued}) < 2:
