@@ -12,7 +12,7 @@ from hmasd_jax.runs.folder import checkpoint_folder
 
 
 class LoggedProcess(subprocess.Popen):
-    """A process that writes its output to a file.
+    """A process that writes its output to a file, unless its options say where else.
 
     A pipe that nobody reads fills up, and then stops the process.
     """
@@ -20,7 +20,8 @@ class LoggedProcess(subprocess.Popen):
     def __init__(self, command: list[str], log: Path, **options):
         self.log = log
         with log.open("w") as file:
-            super().__init__(command, stdout=file, stderr=subprocess.STDOUT, **options)
+            streams = {"stdout": file, "stderr": subprocess.STDOUT}
+            super().__init__(command, **streams | options)
 
     def output(self, timeout=60):
         """Wait until the process ends, and return its output."""

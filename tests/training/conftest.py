@@ -10,13 +10,16 @@ from tests.helpers.processes import LoggedProcess
 
 @pytest.fixture
 def start(tmp_path):
-    """`start(command, run, *words)`: the toy's command line in a process group of its own."""
+    """`start(command, run, *words, **options)`: the toy's command line in a process group.
+
+    The options are those of `subprocess.Popen`.
+    """
     processes = []
 
-    def start(command, run, *more):
+    def start(command, run, *more, **options):
         line = [sys.executable, toy.__file__, command, "--run-dir", str(run), *more]
         log = tmp_path / f"output_{len(processes)}.txt"
-        processes.append(LoggedProcess(line, log, start_new_session=True))
+        processes.append(LoggedProcess(line, log, start_new_session=True, **options))
         return processes[-1]
 
     yield start

@@ -2,6 +2,7 @@
 
 import json
 import os
+import pty
 import signal
 import time
 from pathlib import Path
@@ -41,11 +42,13 @@ def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
     assert len(json.loads((killed / "run.json").read_text())["resumed"]) == 3
 
 
-def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_saves_and_says_how_to_go_on(number, start, tmp_path):
+    """Press Ctrl-C, or end the connection."""
     run = tmp_path / "run"
     process = start("train", run, *words(total_env_steps=ENDLESS))
     wait_until(lambda: latest(run, 0) > 0, process)
-    os.killpg(process.pid, signal.SIGINT)
+    os.killpg(process.pid, number)
     text = process.output()
     assert process.returncode == 130
     assert (
@@ -54,6 +57,41 @@ def test_ctrl_c_saves_and_says_how_to_go_on(start, tmp_path):
     )
     assert "Traceback" not in text
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
+
+
+@pytest.mark.parametrize(
+    ("open_ends", "number"),
+    [(os.pipe, signal.SIGINT), (os.pipe, None), (pty.openpty, signal.SIGHUP)],
+)
+def test_output_that_nobody_reads_loses_nothing(open_ends, number, start, tmp_path):
+    """End the reader, as Ctrl-C ends `tee`, or the terminal, and send a signal or none."""
+    run = tmp_path / "run"
+    total = 80 * 300 if number is None else ENDLESS
+    read, write = open_ends()
+    process = start("train", run, *words(total_env_steps=total), stdout=write, stderr=write)
+    os.close(write)
+    wait_until(lambda: latest(run, 0) > 0, process)
+    os.close(read)
+    if number is not None:
+        os.killpg(process.pid, number)
+    assert process.wait(60) == (0 if number is None else 130)
+    assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
+    (status,) = json.loads((run / "summary.json").read_text())["seeds"].values()
+    assert status["status"] == ("finished" if number is None else "interrupted")
+
+
+def test_a_run_under_nohup_outlives_its_connection(start, tmp_path):
+    run = tmp_path / "run"
+    settings = words(total_env_steps=80 * 300, num_seeds=1, placement="workers")
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # The process inherits it.
+    try:
+        process = start("seed_sweep", run, *settings)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+    wait_until(lambda: latest(run, 0) > 0, process)
+    os.killpg(process.pid, signal.SIGHUP)
+    text = process.output()
+    assert process.returncode == 0, text
 
 
 @pytest.mark.skipif(len(available_cores()) < 2, reason="two workers need two cores")
@@ -91,14 +129,14 @@ def assert_as_never_interrupted(run, seed, tmp_path):
 
 
 @pytest.mark.skipif(len(available_cores()) < 2, reason="two workers need two cores")
-def test_sigterm_to_all_processes_saves_every_seed(start, tmp_path):
-    """Terminate a sweep as a scheduler does, resume it and terminate it again."""
+def test_sigterm_or_sighup_to_all_processes_saves_every_seed(start, tmp_path):
+    """Terminate a sweep as a scheduler does, resume it and end the connection."""
     run, done = tmp_path / "run", [0, 0]
     more = words(total_env_steps=ENDLESS, num_seeds=4)
-    for _ in range(2):
+    for number in (signal.SIGTERM, signal.SIGHUP):
         process = start("seed_sweep", run, *more)
         wait_until(lambda done=done: all(latest(run, s) > done[s] for s in (0, 1)), process)
-        os.killpg(process.pid, signal.SIGTERM)
+        os.killpg(process.pid, number)
         text = process.output()
         assert process.returncode == 130, text
         assert "failed" not in text

@@ -152,8 +152,11 @@ def main(words: list[str] | None = None) -> int:
 
         options, overrides = parse(command.options, words[1:])
         if isinstance(options, RunOptions):
+            from hmasd_jax.cli.output import lasting_streams
+
             config = load_config(options, overrides)
-            return command.load()(config, options, words)
+            with lasting_streams():
+                return command.load()(config, options, words)
         return command.load()(options)
     except ConfigError as error:
         return _complain(error)

@@ -2,12 +2,8 @@
 
 import dataclasses
 import shlex
-import signal
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -30,6 +26,7 @@ from hmasd_jax.training.job import Event, Job, Watcher
 from hmasd_jax.training.loop import choose_placement, train_seeds
 from hmasd_jax.training.progress import Display
 from hmasd_jax.training.schedule import make_plan
+from hmasd_jax.training.signals import stop_on_signal
 from hmasd_jax.training.workers import run_workers, worker_cores
 
 INTERRUPTED = 130
@@ -213,25 +210,6 @@ def describe(
             f"{plan.env_steps:,}, a multiple of the {per_update:,} env steps of one update"
         )
     return "\n".join(lines)
-
-
-@contextmanager
-def stop_on_signal() -> Iterator[Callable[[], bool]]:
-    """Catch SIGINT and SIGTERM, and yield a function that tells whether one has arrived.
-
-    Training calls it between chunks, so that it can save before it stops.
-    """
-    received: list[int] = []
-
-    def note(number: int, _: Any) -> None:
-        received.append(number)
-
-    previous = {s: signal.signal(s, note) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield lambda: bool(received)
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
 
 
 def conclude(console: Console, run: Path, results: dict[int, Event], again: str) -> int:

@@ -17,7 +17,6 @@ from hmasd_jax.cli.train_commands import (
     default_folder,
     exit_code,
     run_seeds,
-    stop_on_signal,
 )
 from hmasd_jax.config import ConfigError, TrainConfig, build, change
 from hmasd_jax.runs.metrics_log import check_loggers
@@ -33,6 +32,7 @@ from hmasd_jax.search.study import (
 )
 from hmasd_jax.search.tables import compare_best, count_states
 from hmasd_jax.training.loop import choose_placement
+from hmasd_jax.training.signals import stop_on_signal
 from hmasd_jax.training.workers import worker_cores
 
 if TYPE_CHECKING:

@@ -11,10 +11,8 @@ import os
 import signal
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -27,6 +25,7 @@ from hmasd_jax.training.executable_cache import use_cache
 from hmasd_jax.training.host_memory import keep_freed, workers_at_once
 from hmasd_jax.training.job import ENDS, Event, Job
 from hmasd_jax.training.loop import train_seeds
+from hmasd_jax.training.signals import hold_signals, take_signals
 
 POLL_SECONDS = 0.5
 
@@ -55,7 +54,7 @@ class Worker:
         pipe, other = context.Pipe()
         arguments = (other, job.run, to_json(job.config), job.loggers, core)
         process = context.Process(target=work, args=arguments, name=f"worker on core {core}")
-        with _signals_held():
+        with hold_signals():
             process.start()
         other.close()  # the pipe then closes when the process ends
         pipe.send(seed)
@@ -66,36 +65,6 @@ class Worker:
         self.seed = -1 if seed is None else seed
         with suppress(OSError):  # a dead worker is noticed when its pipe is read
             self.pipe.send(seed)
-
-
-@contextmanager
-def _signals_held() -> Iterator[None]:
-    """Hold the signals that stop a run, in processes started meanwhile until `_take_signals`.
-
-    A worker takes seconds to import JAX, and a signal would end it with a traceback meanwhile.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    resource_tracker.ensure_running()  # It would start with the worker, and release the signals.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _take_signals() -> Callable[[], bool]:
-    """Ignore SIGINT, which the parent handles, and return a function that tells of SIGTERM.
-
-    A scheduler sends SIGTERM to all processes at once, or to any of them.
-    """
-    received: list[int] = []
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
-    if hasattr(signal, "pthread_sigmask"):
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))
-    return lambda: bool(received)
 
 
 def run_workers(job: Job, indices: list[int], cores: list[int]) -> dict[int, Event]:
@@ -199,7 +168,7 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
         loggers: Loggers beside the JSON lines.
         core: Core to compute on.
     """
-    terminated = _take_signals()
+    terminated = take_signals()
     pin(core)
     use_cache()  # The parent has told if there is none.
 
