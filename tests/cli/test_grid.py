@@ -1,10 +1,13 @@
 """The command `grid`: one sweep per combination of values, each in its own run folder."""
 
+import signal
+
 import pytest
 
 from hmasd_jax.cli import train_commands
 from hmasd_jax.cli.main import main
 from hmasd_jax.cli.parse import drop_options
+from hmasd_jax.training.signals import stop_on_signal
 
 WORDS = ["grid", "--num-seeds", "2", "--vary", "algorithm.skill-interval=25,50"]
 
@@ -69,9 +72,28 @@ def test_a_failed_sweep_does_not_keep_the_others_from_running(sweeps, tmp_path):
     assert len(calls) == 2
 
 
-def test_an_interrupt_ends_all(sweeps, tmp_path):
+def test_an_interrupt_ends_all_and_says_how_to_go_on(sweeps, tmp_path, capsys):
     calls, codes = sweeps
     codes += [train_commands.INTERRUPTED]
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == train_commands.INTERRUPTED
+    assert len(calls) == 1
+    again = f"{' '.join(WORDS)} --run-dir {tmp_path} --resume"
+    line = f"interrupted; to continue: python -m hmasd_jax.train {again}"
+    assert line in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_at_the_end_of_a_sweep_ends_all(number, sweeps, tmp_path, monkeypatch):
+    """Send a signal when the first cell has no further stretch to train, and so finishes."""
+    calls, _ = sweeps
+    pretend = train_commands.seed_sweep
+
+    def finish(*args):
+        with stop_on_signal():
+            signal.raise_signal(number)
+            return pretend(*args)
+
+    monkeypatch.setattr(train_commands, "seed_sweep", finish)
     assert main([*WORDS, "--run-dir", str(tmp_path)]) == train_commands.INTERRUPTED
     assert len(calls) == 1
 

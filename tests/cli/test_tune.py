@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 
 import jax
 import pytest
@@ -14,6 +15,7 @@ from hmasd_jax.runs.folder import create, metrics_path, read_config, seed_folder
 from hmasd_jax.search.study import read_search
 from hmasd_jax.search.trials import REASON
 from hmasd_jax.training.job import Event
+from hmasd_jax.training.signals import stop_on_signal
 from tests.helpers.toy import words
 
 pytest.importorskip("optuna")
@@ -172,6 +174,20 @@ def test_an_interrupted_search_says_how_to_go_on_and_does(plays, tmp_path, capsy
     ]  # fmt: skip
     assert all(options.tensorboard for _, _, options, _ in calls)
     assert len(trials(folder)) == 3
+
+
+def test_a_signal_at_the_end_of_a_trial_ends_the_search(plays, tmp_path, monkeypatch):
+    calls, _ = plays
+    pretend = tune_command.run_seeds
+
+    def finish(*args, **more):
+        with stop_on_signal():
+            signal.raise_signal(signal.SIGTERM)
+            return pretend(*args, **more)
+
+    monkeypatch.setattr(tune_command, "run_seeds", finish)
+    assert tune(tmp_path / "s", "--trials", "3") == 130
+    assert len(calls) == 1
 
 
 def test_the_same_command_joins_and_another_is_refused(plays, tmp_path, capsys):

@@ -40,8 +40,14 @@ class Received:
 def stop_on_signal() -> Iterator[Callable[[], bool]]:
     """Catch the signals that stop a run, and yield a function that tells whether one has arrived.
 
-    Training calls it between chunks, so that it can save before it stops.
+    Training calls it between chunks, so that it can save before it stops. Within another
+    `stop_on_signal`, as a sweep within a grid, both learn of the same signals: one that comes when
+    the inner training is about to end must still end the outer loop.
     """
+    outer = signal.getsignal(signal.SIGTERM)
+    if isinstance(outer, Received):
+        yield outer.tell
+        return
     received = Received()
     previous = {number: signal.signal(number, received) for number in stopping_signals()}
     try:
