@@ -49,6 +49,31 @@ def test_one_run_alone_has_no_pairs(runs, tmp_path, capsys):
     assert "Probability" not in capsys.readouterr().out
 
 
+def test_tasks_without_a_success_are_judged_by_the_return(tmp_path, capsys):
+    runs = [
+        write_run(tmp_path / name, [[0.0, 0.0, 20.0]], metric="return") for name in ("one", "two")
+    ]
+    words = [str(runs[0]), str(runs[1]), "--out", str(tmp_path / "x.png")]
+    assert main(["compare", *words, "--last", "1"]) == 0
+    text = capsys.readouterr().out
+    assert "return of the last 1 evaluations" in text
+    assert "seeds > 0" in text
+    assert "20.000 [20.000, 20.000]" in text
+    assert main(["plot", *words]) == 0
+    assert (tmp_path / "x.csv").read_text().startswith("label,seed,env_steps,return")
+    assert main(["compare", *words, "--last", "1", "--solved-at", "30"]) == 0
+    assert "seeds ≥ 30" in capsys.readouterr().out
+
+
+def test_a_metric_that_is_not_there_is_told_with_those_that_are(runs, tmp_path, capsys):
+    other = write_run(tmp_path / "other", [[0.0, 20.0]], metric="return")
+    assert main(["plot", str(runs[0]), str(other), "--out", str(tmp_path / "x.png")]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {runs[0]} has no evaluation of return yet: there are length, success; choose one "
+        "by --metric\n"
+    )
+
+
 def test_refuses_what_cannot_be_compared(runs, tmp_path):
     other = write_run(tmp_path / "other", [[0.0]], **{"env.max_steps": 50})
     with pytest.raises(RunError, match=r"other is on another task than .*good: .*'max_steps': 50"):

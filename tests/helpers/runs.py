@@ -13,7 +13,9 @@ STEPS = [0, 100, 200, 300]
 """Environment steps of the evaluations."""
 
 
-def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
+def write_run(
+    folder: Path, curves: list[list[float]], metric: str = "success", **overrides
+) -> Path:
     """Write a run folder with one seed per curve, evaluated at `STEPS` until its curve ends."""
     folder.mkdir()
     table = configs.to_json(configs.load(None, overrides))
@@ -23,7 +25,7 @@ def write_run(folder: Path, curves: list[list[float]], **overrides) -> Path:
         records = []
         for step, value in zip(STEPS, curve):
             where = {"seed": seed, "env_steps": step, "wall_seconds": 1.0}
-            records.append({"kind": "eval", **where, "success": value, "length": 100 * value})
+            records.append({"kind": "eval", **where, metric: value, "length": 100 * value})
             train = {"coordinator/team_entropy": 0.5, "discriminators/team_accuracy": value}
             records.append({"kind": "train", **where, **train})
         lines = "".join(json.dumps(record) + "\n" for record in records)

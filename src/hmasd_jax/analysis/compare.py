@@ -19,6 +19,7 @@ from rich.table import Table
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of, read_evaluations
 from hmasd_jax.analysis.figures import Curve, common_steps, draw_groups, write_csv
+from hmasd_jax.analysis.learning import ANY_REWARD, LAST, common_metric, default_bar
 from hmasd_jax.analysis.statistics import (
     Array,
     Estimate,
@@ -63,21 +64,27 @@ class Comparison(NamedTuple):
 
 
 def compare_runs(
-    runs: Sequence[Path], metric: str = "success", last: int = 5, solved_at: float = 0.9
+    runs: Sequence[Path],
+    metric: str | None = None,
+    last: int = LAST,
+    solved_at: float | None = None,
 ) -> Comparison:
     """Read the evaluations of runs on one task.
 
     Args:
         runs: Folders of runs, finished or not.
-        metric: Name in the evaluations, e.g. `success` or `return`.
+        metric: Name in the evaluations, e.g. `success` or `return`; None takes success if all
+            runs have it, else the return.
         last: Number of evaluations to average for a seed's score.
-        solved_at: Lowest score of a seed that has solved the task.
+        solved_at: Lowest score of a seed that has solved the task; None takes a success rate of
+            0.9, or any return above 0.
 
     Raises:
         RunError: A folder is not the folder of a run, the tasks differ, or there are too few
             evaluations.
     """
     runs = [Path(run) for run in runs]
+    metric = common_metric(runs) if metric is None else metric
     curves = [read_evaluations(run, metric) for run in runs]
     tables = [to_json(read_config(run)) for run in runs]
     for run, table in zip(runs, tables):
@@ -106,15 +113,16 @@ def compare_runs(
         env_steps=int(steps[-1]),
         scores=scores,
         last=last,
-        solved_at=solved_at,
+        solved_at=default_bar(metric) if solved_at is None else solved_at,
     )
 
 
 def tables(comparison: Comparison) -> list[Table]:
     """Return the statistics as tables: one of the runs, and one of the pairs of runs."""
-    labels, scores = comparison.labels, comparison.scores
+    labels, scores, bar = comparison.labels, comparison.scores, comparison.solved_at
+    solved_seeds = "seeds > 0" if bar == ANY_REWARD else f"seeds ≥ {bar:g}"
     per_run = Table(
-        "run", "seeds", "interquartile mean", "mean", f"seeds ≥ {comparison.solved_at:g}",
+        "run", "seeds", "interquartile mean", "mean", solved_seeds,
         title=f"{comparison.task}: {comparison.metric} of the last {comparison.last} evaluations "
         f"up to {comparison.env_steps:,} env steps; 95 % intervals",
     )  # fmt: skip
@@ -124,7 +132,7 @@ def tables(comparison: Comparison) -> list[Table]:
             estimate([own], lambda groups, mean=mean: mean(groups[0]))
             for mean in (interquartile_mean, np.mean)
         )
-        solved = estimate_fraction(own, comparison.solved_at)
+        solved = estimate_fraction(own, bar)
         per_run.add_row(label, str(len(own)), *map(_write, means), _write(solved))
     if len(scores) < 2:
         return [per_run]

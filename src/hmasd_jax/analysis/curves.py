@@ -26,6 +26,7 @@ from hmasd_jax.analysis.figures import (
     save,
     write_csv,
 )
+from hmasd_jax.analysis.learning import common_metric
 from hmasd_jax.config import to_json
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import RunError, metrics_path, read_config, seeds_of
@@ -56,7 +57,7 @@ class Reference(NamedTuple):
 
 
 def plot_runs(
-    runs: Sequence[Path], out: Path, metric: str = "success", show_seeds: bool = False
+    runs: Sequence[Path], out: Path, metric: str | None = None, show_seeds: bool = False
 ) -> Path:
     """Draw the evaluations of one or more runs, finished or not, and write them as CSV beside it.
 
@@ -65,7 +66,8 @@ def plot_runs(
     Args:
         runs: Folders of runs. Each becomes one curve over its seeds.
         out: Image to write. Its suffix selects the format: .png, .pdf, .svg, ..
-        metric: Name in the evaluations, e.g. `success`, `return` or `length`.
+        metric: Name in the evaluations, e.g. `success`, `return` or `length`; None takes success
+            if all runs have it, else the return.
         show_seeds: If True, also draw a thin line per seed.
 
     Returns:
@@ -78,6 +80,7 @@ def plot_runs(
     """
     require("matplotlib", "plots", "plotting")
     runs = [Path(run) for run in runs]
+    metric = common_metric(runs) if metric is None else metric
     curves = [read_evaluations(run, metric) for run in runs]
     tables = [to_json(read_config(run)) for run in runs]
     groups = list(zip(labels_of(runs, tables), curves))
@@ -239,5 +242,6 @@ def _known_metrics(run: Path) -> str:
     for seed in seeds_of(run):
         for record in metrics_log.read(metrics_path(run, seed)):
             if record["kind"] == "eval":
-                return f"there are {', '.join(sorted(set(record) - metrics_log.NOT_METRICS))}"
+                known = sorted(set(record) - metrics_log.NOT_METRICS - {"wall_seconds"})
+                return f"there are {', '.join(known)}; choose one by --metric"
     return "wait for its first one"

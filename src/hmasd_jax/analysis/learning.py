@@ -26,6 +26,10 @@ from hmasd_jax.runs.metrics_log import NOT_METRICS, Record
 
 LAST = 5
 """Number of last evaluations whose mean is the score of a seed, to even out their noise."""
+SOLVED_AT = 0.9
+"""Success rate from which a seed has learned a task."""
+ANY_REWARD = 1e-9
+"""Return from which a seed has learned a task without a success: any above 0."""
 
 
 class Band(NamedTuple):
@@ -147,6 +151,27 @@ def main_metric(names: Container[str]) -> str:
         names: Names of the metrics of its evaluations, e.g. one record.
     """
     return "success" if "success" in names else "return"
+
+
+def common_metric(runs: Sequence[Path]) -> str:
+    """Return the metric that all runs can be judged by: success if all have it, else the return.
+
+    Runs without an evaluation do not count.
+
+    Raises:
+        RunError: A folder is not the folder of a run, or a file cannot be read.
+        ConfigError: The configuration of a run is not valid in this version.
+    """
+    for run in runs:
+        rows = [row for seed in read_records(run).values() for row in seed if row["kind"] == "eval"]
+        if rows and main_metric(rows[-1]) != "success":
+            return "return"
+    return "success"
+
+
+def default_bar(metric: str) -> float:
+    """Return the score from which a seed has learned a task that is judged by this metric."""
+    return SOLVED_AT if metric == "success" else ANY_REWARD
 
 
 def curve_rows(records: dict[int, list[Record]]) -> list[dict[str, Any]]:

@@ -245,8 +245,9 @@ class PlotOptions(Options):
     """Folders of runs. Each run is one curve with a band over its seeds."""
     out: Path = Path("curves.png")
     """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
-    metric: str = "success"
-    """Metric of the evaluations to plot, e.g. success, return or length."""
+    metric: str | None = None
+    """Metric of the evaluations, e.g. success, return or length. The default is success if all runs
+    have it, else return."""
     show_seeds: bool = False
     """Also draw a thin line per seed."""
 
@@ -259,8 +260,9 @@ class CompareOptions(PlotOptions):
     """Image to write, .png, or .pdf or .svg for print. Its numbers go beside it as CSV."""
     last: int = 5
     """Number of last evaluations whose mean is the score of a seed."""
-    solved_at: float = 0.9
-    """Score from which a seed counts as having learned the task."""
+    solved_at: float | None = None
+    """Score from which a seed has learned the task. The default is a success rate of 0.9, or any
+    return above 0."""
 
     def __post_init__(self) -> None:
         check_range(self, "last", low=1)

@@ -5,7 +5,15 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from hmasd_jax.analysis.learning import Band, Learned, bands, main_metric, read_records, summarize
+from hmasd_jax.analysis.learning import (
+    Band,
+    Learned,
+    bands,
+    default_bar,
+    main_metric,
+    read_records,
+    summarize,
+)
 from hmasd_jax.analysis.skills import Player, SkillStudy, Track, make_player, study_skills
 from hmasd_jax.config import identity, to_json
 from hmasd_jax.config.presets import find_preset
@@ -14,9 +22,6 @@ from hmasd_jax.runs.checkpoint import CheckpointError
 from hmasd_jax.runs.folder import RunError, metrics_path, read_config
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.runs.metrics_log import Record
-
-SOLVED_AT = 0.9
-"""Success rate from which a seed has learned a task."""
 
 
 class Setting(NamedTuple):
@@ -70,8 +75,8 @@ def gather(
         label: Name in legends.
         episodes: Episodes per condition of `study_skills`.
         num_seeds: Most seeds to study.
-        solved_at: Score from which a seed has learned the task; None takes `SOLVED_AT` for success
-            and any reward above 0 for a return.
+        solved_at: Score from which a seed has learned the task; None takes `default_bar` of
+            the metric.
         track: Wrapper of the loops, e.g. a progress bar.
 
     Raises:
@@ -83,7 +88,7 @@ def gather(
     evaluation = bands(records, "eval")
     metric = main_metric(evaluation or ["success"])
     if solved_at is None:
-        solved_at = SOLVED_AT if metric == "success" else 1e-9
+        solved_at = default_bar(metric)
     seeds, lacks = study_seeds(path, list(records), episodes, num_seeds, track)
     preset = find_preset(table)
     about, no_about = _read_json(path / "run.json")
