@@ -21,7 +21,7 @@ from scripts.records import RESULTS
 TOGETHER = ("compared", "retired", "ablations")
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
-"""What the names of runs with retired presets, and on the way to them, begin with."""
+"""Beginnings of the names of runs with retired presets, and of steps towards them."""
 STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
 """Configurations that look the same in all images."""
 

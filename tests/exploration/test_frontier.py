@@ -139,8 +139,8 @@ def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
     assert_allclose(reward, (1 - 3 / 7.6) ** NUM_ENVS * without, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.0625), (False, 1.0)])
-def test_the_entropy_fades_with_the_square_of_the_unsolved_share(fade_entropy, weight, empty):
+@pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])
+def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy, weight, empty):
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)
     won = empty._replace(successes=jnp.float32(6), episodes=jnp.float32(8))
     assert bonus.entropy_weight(won) == weight

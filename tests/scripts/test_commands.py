@@ -13,7 +13,6 @@ SCRIPTS = [
     "random_play",
     "record_result",
     "record_tried",
-    "sampled_play",
     "skill_accuracy",
     "skill_actions",
     "soup_times",

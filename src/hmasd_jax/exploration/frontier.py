@@ -24,10 +24,8 @@ environment. A team that has found out how to win learns from reward alone. Wher
 episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
 earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
 
-The entropy of actions, which also explores, can be weighted by the square of the share of episodes
-that no reward ended. Battles that are won by a sequence of right actions are lost by one that is
-drawn at random. Weighted by the share itself, the entropy settles where it costs a tenth of the
-battles.
+The entropy of actions, which also explores, can be weighted by the share of episodes that no reward
+ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
 from dataclasses import dataclass
@@ -61,8 +59,8 @@ class FrontierConfig:
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
     fade_entropy: bool = False
-    """If True, weight the entropy of actions by the square of the share of recent episodes that no
-    reward ended."""
+    """If True, weight the entropy of actions by the share of recent episodes that no reward
+    ended."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", "largest_worth", low=0)
@@ -135,17 +133,12 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    return Bonus(init, update, faded_entropy if config.fade_entropy else full_entropy)
+    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:
     """Return the share of recent episodes that no reward ended."""
     return 1.0 - frontier.successes / jnp.maximum(frontier.episodes, 1.0)
-
-
-def faded_entropy(frontier: Frontier) -> Float[Array, ""]:
-    """Return the weight of the actions' entropy, the square of the unsolved share."""
-    return unsolved(frontier) ** 2
 
 
 def explore(
