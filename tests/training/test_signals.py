@@ -18,6 +18,14 @@ from tests.helpers.toy import numbers, words
 ENDLESS = 10**9
 
 
+@pytest.fixture(autouse=True)
+def hang_up_is_not_ignored():
+    """Let SIGHUP end processes. Under nohup the tests would pass on that it is ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 def test_killed_at_any_moment_and_resumed_is_as_never_killed(start, tmp_path):
     """Send SIGKILL soon after a checkpoint has appeared, when there are many writes."""
     total = 80 * 300  # long enough that a busy machine does not finish before the signal comes
