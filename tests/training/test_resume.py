@@ -11,8 +11,9 @@ from hmasd_jax.cli.main import main
 from hmasd_jax.config import RENAMED, build, load
 from hmasd_jax.runs import checkpoint, metrics_log
 from hmasd_jax.runs.checkpoint import CheckpointError
-from hmasd_jax.runs.folder import checkpoint_folder, create, metrics_path
+from hmasd_jax.runs.folder import checkpoint_folder, create, hold, lock, metrics_path
 from hmasd_jax.runs.load import load_run
+from hmasd_jax.training import loop
 from hmasd_jax.training.job import Job
 from hmasd_jax.training.loop import train_seeds
 from tests.helpers.processes import assert_same_state, latest
@@ -84,6 +85,54 @@ def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
     for seed in range(3):
         assert numbers(parts, seed) == numbers(whole, seed)
         assert_same_state(load_run(parts, seed).state, load_run(whole, seed).state)
+
+
+@pytest.fixture
+def unequal(tmp_path):
+    """A job whose seed 1 has done 80 environment steps of 160, and seed 0 none."""
+    config = load(None, SETTINGS | {"total_env_steps": 160})
+    run = tmp_path / "run"
+    create(run, config, [])
+    stops = iter([False, False, True])
+    job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops, False))
+    assert train_seeds(job, [1])[1].kind == "interrupted"
+    assert (latest(run, 0), latest(run, 1)) == (0, 80)
+    return job
+
+
+def test_seeds_that_wait_for_others_are_locked(unequal):
+    """Resume seed 1 in another process while this one trains seed 0, before its turn."""
+    others = []
+
+    def report(event):
+        if (event.kind, event.seed) == ("start", 0):
+            others.append(train_seeds(unequal, [1])[1])
+
+    results = train_seeds(unequal._replace(report=report), [0, 1])
+    (other,) = others
+    assert (other.kind, results[0].kind, results[1].kind) == ("failed", "finished", "finished")
+    assert "another process is training" in other.data["message"]
+    assert latest(unequal.run, 1) == 160
+
+
+def test_a_checkpoint_is_read_under_the_lock(unequal, monkeypatch):
+    held, read = [], loop.latest_step
+
+    def look(folder):
+        with hold(folder.parent / ".lock") as is_free:
+            held.append(not is_free)
+        return read(folder)
+
+    monkeypatch.setattr(loop, "latest_step", look)
+    train_seeds(unequal, [0, 1])
+    assert held == [True, True]
+
+
+def test_a_seed_that_another_process_trains_fails_alone(unequal):
+    with lock(unequal.run, 0):
+        results = train_seeds(unequal, [0, 1, 2])
+    assert [results[seed].kind for seed in range(3)] == ["failed", "finished", "finished"]
+    assert "another process is training" in results[0].data["message"]
 
 
 @pytest.fixture

@@ -2,8 +2,10 @@
 
 import math
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,30 +28,40 @@ compiled = lru_cache(maxsize=2)(compile_programs)
 def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:
     """Train seeds in this process, each from its newest checkpoint if it has one.
 
-    Seeds that have done the same number of environment steps train in lockstep.
+    All seeds are locked until the last one ends. Seeds that have done the same number of
+    environment steps train in lockstep.
 
     Returns:
         The last event of each seed, of kind `finished`, `interrupted` or `failed`.
     """
+    seeds = [SeedRun(job, index) for index in indices]
     groups: dict[int, list[SeedRun]] = {}
-    for index in indices:
-        seed = SeedRun(job, index)
-        groups.setdefault(latest_step(seed.checkpoints) or 0, []).append(seed)
-    for env_steps, seeds in sorted(groups.items()):
-        try:
-            with ExitStack() as locks:
-                for seed in seeds:
-                    locks.enter_context(lock(job.run, seed.index))
-                _train_group(job, seeds, env_steps)
-        except (RunError, CheckpointError) as error:
-            for seed in seeds:
-                seed.end("failed", message=str(error))
-        except OSError as error:
-            reason = f"cannot write to {job.run}: {error.strerror or error}"
-            for seed in seeds:
-                seed.end("failed", message=f"{reason}; what was saved before stays usable")
-    everyone = [seed for seeds in groups.values() for seed in seeds]
-    return {seed.index: seed.result for seed in everyone if seed.result is not None}
+    with ExitStack() as locks:
+        for seed in seeds:
+            with _failing(job.run, [seed]):
+                # First the lock: until then another process may save a later checkpoint.
+                locks.enter_context(lock(job.run, seed.index))
+                groups.setdefault(latest_step(seed.checkpoints) or 0, []).append(seed)
+        for env_steps, group in sorted(groups.items()):
+            with _failing(job.run, group):
+                _train_group(job, group, env_steps)
+    return {seed.index: seed.result for seed in seeds if seed.result is not None}
+
+
+@contextmanager
+def _failing(run: Path, seeds: list[SeedRun]) -> Iterator[None]:
+    """End seeds as failed if their files cannot be used, and go on."""
+    try:
+        yield
+    except (RunError, CheckpointError) as error:
+        message = str(error)
+    except OSError as error:
+        reason = f"cannot write to {run}: {error.strerror or error}"
+        message = f"{reason}; what was saved before stays usable"
+    else:
+        return
+    for seed in seeds:
+        seed.end("failed", message=message)
 
 
 def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
