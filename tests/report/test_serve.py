@@ -9,7 +9,7 @@ import pytest
 import uvicorn
 
 from hmasd_jax.report import drive, serve
-from hmasd_jax.runs.folder import RunError, metrics_path
+from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path
 from hmasd_jax.validation import ConfigError
 from tests.helpers.runs import write_run
 from tests.helpers.scripted import TEAMS, scripted_run
@@ -87,6 +87,54 @@ def test_a_page_that_cannot_be_made_says_why(tmp_path):
     assert "line 3 is &lt;damaged&gt;" in live.page
 
 
+def test_checkpoints_are_ordered_by_their_steps(tmp_path):
+    run = write_run(tmp_path / "run", [[0.0]])
+    folder = checkpoint_folder(run, 0)
+    folder.mkdir()
+    live = serve.LiveReport([run], lambda version: version)
+    for step in (800_000, 1_000_000, 1_200_000):
+        (folder / f"{step}.npz").touch()
+        assert live.look()
+        assert live.page.endswith(f".{step}")
+
+
+@pytest.mark.parametrize("error", [RunError("no trial yet"), OSError("no trial yet")])
+def test_files_that_cannot_be_read_for_a_while_are_read_later(error, tmp_path, monkeypatch):
+    run = write_run(tmp_path / "run", [[0.0]])
+    live = serve.LiveReport([run], lambda version: f"page {version}")
+    with monkeypatch.context() as patch:
+
+        def fail(_):
+            raise error
+
+        patch.setattr(serve, "expand", fail)
+        assert not live.look()
+        assert "no trial yet" in live.page
+    assert live.look()
+    assert live.page.startswith("page 0.")
+
+
+def test_a_page_that_fails_is_told_and_made_again_when_files_change(tmp_path, caplog):
+    run, made = write_run(tmp_path / "run", [[0.0]]), []
+
+    def make(version):
+        made.append(version)
+        if len(made) == 1:
+            raise ValueError("<odd>")
+        return "page"
+
+    live = serve.LiveReport([run], make)
+    for _ in range(2):
+        assert not live.look()
+        assert "ValueError: &lt;odd&gt;" in live.page
+    assert len(made) == 1  # It would fail again, and to make it takes minutes.
+    assert caplog.text.count("Traceback") == 1
+    with metrics_path(run, 0).open("a") as file:
+        file.write("{}\n")
+    assert live.look()
+    assert live.page == "page"
+
+
 def test_a_busy_port_is_one_error():
     with serve.bind(0) as bound:
         bound.listen()
@@ -142,6 +190,25 @@ def test_the_server_drives(server):
     status, text = ask(server, "/drive", "POST", **form | {"skill0": "x"})
     assert (status, text) == (400, "error: skills must be whole numbers, got x, , ")
     assert "Step 0, return 0." in ask(server, "/drive", "POST", act="restart")[1]
+
+
+def test_a_driver_that_fails_is_told_and_replaced(server, monkeypatch, caplog):
+    play, drivers = drive.Driver.play, []
+
+    def fail_once(driver, skills):
+        drivers.append(driver)
+        if len(drivers) == 1:
+            driver.time = 7  # As if it had played half of a segment.
+            raise ValueError("odd")
+        play(driver, skills)
+
+    monkeypatch.setattr(drive.Driver, "play", fail_once)
+    form = {"skill0": "1", "skill1": "", "skill2": "", "act": "segment"}
+    status, text = ask(server, "/drive", "POST", **form)
+    assert (status, text.partition(";")[0]) == (500, "error: ValueError: odd")
+    assert "Traceback" in caplog.text
+    assert "Step 0, return 0." in ask(server, "/drive")[1]
+    assert "Step 20, return 0." in ask(server, "/drive", "POST", **form)[1]
 
 
 def test_a_browser_drives(server, browser):

@@ -3,6 +3,7 @@
 Nothing is written, no file is served, and only this machine is answered.
 """
 
+import logging
 import socket
 import threading
 import time
@@ -17,7 +18,7 @@ from envs_jax.optional import require
 from hmasd_jax.report.drive import Driver
 from hmasd_jax.report.page import check_packages, gather_runs, render_page
 from hmasd_jax.report.search_views import expand, view_searches
-from hmasd_jax.runs.checkpoint import CheckpointError
+from hmasd_jax.runs.checkpoint import CheckpointError, latest_step
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path, read_config, seeds_of
 from hmasd_jax.search.study import is_search, read_search
 from hmasd_jax.search.tables import count_states
@@ -35,6 +36,8 @@ LOOK_EVERY = 2.0
 """Seconds between two looks for new records and checkpoints."""
 LARGEST_FORM = 10_000
 """Bytes of a form that are read at most."""
+EXPECTED = (RunError, CheckpointError, ConfigError)
+"""Errors whose message is one line with the remedy."""
 
 
 class LiveReport:
@@ -49,20 +52,38 @@ class LiveReport:
         """
         self._runs, self._make = [Path(run) for run in runs], make
         self.version: str = ""
+        self._failed: str | None = None
+        """Version that raised an error which no later look will mend."""
         self.page: str = WAITING.format("The report is being made. This page waits for it.")
 
     def look(self) -> bool:
-        """Make the page again if files have changed; return whether they have."""
-        version = self._fingerprint()
-        if version == self.version:
-            return False
+        """Make the page again if files have changed; return whether that was done.
+
+        An error is shown on the page. One that is not expected is also logged, and the page is not
+        made from the same files again.
+        """
+        version = ""
         try:
+            version = self._fingerprint()
+            if version in (self.version, self._failed):
+                return False
             page = self._make(version)
-        except (RunError, CheckpointError, ConfigError) as error:
-            self.page = WAITING.format(f"The report cannot be made: {escape(str(error))}.")
+        except (*EXPECTED, OSError) as error:
+            self._tell(str(error))
+            return False
+        except Exception as error:
+            if self._tell(one_line(error)):
+                log_fault("the report cannot be made", error)
+            self._failed = version
             return False
         self.version, self.page = version, page
         return True
+
+    def _tell(self, reason: str) -> bool:
+        """Show why there is no page; return False if that is already shown."""
+        before = self.page
+        self.page = WAITING.format(f"The report cannot be made: {escape(reason)}.")
+        return self.page != before
 
     def watch(self) -> None:
         """Look again and again, for ever."""
@@ -78,8 +99,7 @@ class LiveReport:
             for seed in seeds_of(run):
                 metrics, folder = metrics_path(run, seed), checkpoint_folder(run, seed)
                 size = metrics.stat().st_size if metrics.is_file() else 0
-                names = sorted(path.name for path in folder.glob("*.npz"))
-                parts.append(f"{seed}.{size}.{names[-1] if names else 0}")
+                parts.append(f"{seed}.{size}.{latest_step(folder) or 0}")
         return "-".join(parts) or "empty"
 
 
@@ -95,13 +115,20 @@ def make_app(live: LiveReport, make_driver: Callable[[], Driver]) -> "Starlette"
     drivers: list[Driver] = []
     lock = threading.Lock()
 
-    def drive(form: dict[str, list[str]] | None) -> str:
+    def drive(form: dict[str, list[str]] | None) -> tuple[str, int]:
         with lock:
-            if not drivers:
-                drivers.append(make_driver())
-            if form is not None:
-                answer_form(drivers[0], form)
-            return drivers[0].show()
+            try:
+                if not drivers:
+                    drivers.append(make_driver())
+                if form is not None:
+                    answer_form(drivers[0], form)
+                return drivers[0].show(), 200
+            except EXPECTED as error:
+                return f"error: {error}", 400
+            except Exception as error:
+                drivers.clear()  # It may have played half of a segment.
+                log_fault("the agents cannot be driven", error)
+                return f"error: {one_line(error)}; load this page again for a new episode", 500
 
     async def show_report(request: "Request") -> Any:
         return HTMLResponse(live.page)
@@ -114,10 +141,9 @@ def make_app(live: LiveReport, make_driver: Callable[[], Driver]) -> "Starlette"
         if request.method == "POST":
             body = await request.body()
             form = parse_qs(body[:LARGEST_FORM].decode(errors="replace"), keep_blank_values=True)
-        try:
-            return HTMLResponse(await run_in_threadpool(drive, form))
-        except (RunError, CheckpointError, ConfigError) as error:
-            return PlainTextResponse(f"error: {error}", status_code=400)
+        text, status = await run_in_threadpool(drive, form)
+        answer = HTMLResponse if status == 200 else PlainTextResponse
+        return answer(text, status_code=status)
 
     return Starlette(
         routes=[
@@ -128,6 +154,16 @@ def make_app(live: LiveReport, make_driver: Callable[[], Driver]) -> "Starlette"
         # Other sites that resolve their name to this machine are not answered.
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=[LOOPBACK, "localhost"])],
     )
+
+
+def log_fault(what: str, error: Exception) -> None:
+    """Log an error that was not expected, with its traceback."""
+    logging.getLogger(__name__).error("error: %s", what, exc_info=error)
+
+
+def one_line(error: Exception) -> str:
+    """Return type and message of an error that was not expected."""
+    return f"{type(error).__name__}: {error}".splitlines()[0]
 
 
 def answer_form(driver: Driver, form: dict[str, list[str]]) -> None:
@@ -208,7 +244,7 @@ def serve(
 
 def _first_driver(run: Path) -> Driver:
     """Return a driver of the first seed that has a checkpoint."""
-    seeds = [seed for seed in seeds_of(run) if any(checkpoint_folder(run, seed).glob("*.npz"))]
-    if not seeds:
-        raise RunError(f"{run} has no checkpoint to drive yet: wait for the first one")
-    return Driver(run, seeds[0])
+    for seed in seeds_of(run):
+        if latest_step(checkpoint_folder(run, seed)) is not None:
+            return Driver(run, seed)
+    raise RunError(f"{run} has no checkpoint to drive yet: wait for the first one")
