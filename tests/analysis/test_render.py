@@ -11,6 +11,7 @@ from hmasd_jax.analysis import episodes, render, skill_maps
 from hmasd_jax.analysis import frames as drawing
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs.folder import RunError
+from hmasd_jax.validation import ConfigError
 from tests.helpers.scripted import TEAMS, scripted_policy, scripted_run
 
 
@@ -126,6 +127,20 @@ def test_what_cannot_be_written_is_told_before_playing(run, tmp_path, monkeypatc
     (tmp_path / "file").touch()
     with pytest.raises(RunError, match=r"cannot write .*file/episode.gif: (File exists|Not a dir)"):
         render.write(tmp_path / "file" / "episode.gif", [np.zeros((4, 4, 3), np.uint8)], 5)
+
+
+@pytest.mark.parametrize("fps", [0, -1.0, 1e-9, 1000, float("nan")])
+def test_a_speed_that_no_film_has_is_told_before_loading(fps, tmp_path, monkeypatch):
+    monkeypatch.setattr(render, "load_run", lambda *_: pytest.fail("it was loaded"))
+    with pytest.raises(ConfigError, match=r"fps must be .*, got "):
+        render.render_run(tmp_path, tmp_path / "x.gif", fps=fps)
+
+
+@pytest.mark.parametrize("fps", [0.1, 100.0])
+def test_a_gif_can_be_as_slow_and_as_fast_as_allowed(fps, tmp_path):
+    frames = [np.full((16, 16, 3), value, np.uint8) for value in (0, 255)]
+    out = render.write(tmp_path / "x.gif", frames, fps)
+    assert iio.immeta(out)["duration"] == 1000 / fps
 
 
 def test_skills_that_do_not_exist_are_told_in_one_line(trained):

@@ -5,6 +5,7 @@ import warnings
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -17,6 +18,7 @@ from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Policy
+from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
 
 PAUSE = 1.5
 """Time that the end of an episode stays on screen (seconds)."""
@@ -42,7 +44,7 @@ def render_run(
         seed: Index of the seed in the run.
         team_skill: Z to hold throughout. The coordinator then chooses only individual skills.
         episodes: Number of episodes, drawn one after the other.
-        fps: Environment steps per second.
+        fps: Environment steps per second, from `SLOWEST_FPS` to `FASTEST_FPS`.
         step: Environment steps of the checkpoint; None selects the newest.
         skills: Skills to hold throughout, (Z, z^1, .., z^N), in place of `team_skill`. The
             coordinator chooses those that are None.
@@ -53,6 +55,7 @@ def render_run(
         `out`.
 
     Raises:
+        ConfigError: `fps` is out of range.
         MissingPackageError: imageio or Pillow is not installed.
         RunError: `run` is not the folder of a run, there is no such seed or skill, or `out`
             cannot be written.
@@ -61,6 +64,7 @@ def render_run(
     for package in ("imageio", "PIL", "matplotlib"):
         require(package, "plots", "rendering")
     check_format(out)
+    check_fps(fps)
     trained = load_run(run, seed, step)
     if team_skill is not None:
         skills = (team_skill, *[None] * trained.env.num_agents)
@@ -171,6 +175,18 @@ def check_format(out: Path) -> None:
         raise RunError(f"cannot write {out}: choose a name that ends in .gif or .mp4")
     if suffix == ".mp4" and importlib.util.find_spec("imageio_ffmpeg") is None:
         raise RunError(f"cannot write {out}: write a .gif, or pip install imageio-ffmpeg")
+
+
+def check_fps(fps: float) -> None:
+    """Check that an animation can be so fast.
+
+    Raises:
+        ConfigError: `fps` is not from `SLOWEST_FPS` to `FASTEST_FPS`.
+    """
+    try:
+        check_range(SimpleNamespace(fps=fps), "fps", low=SLOWEST_FPS, high=FASTEST_FPS)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
 
 
 def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:

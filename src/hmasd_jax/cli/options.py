@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
-from hmasd_jax.validation import ConfigError, check_range
+from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
 
 
 @dataclass(frozen=True)
@@ -228,13 +228,14 @@ class RenderOptions(Options):
     episodes: int = 1
     """Number of episodes to draw, one after the other."""
     fps: float = 5.0
-    """Environment steps per second."""
+    """Environment steps per second, from 0.1 to 100."""
     step: int | None = None
     """Environment steps of the checkpoint. The default is the newest."""
 
     def __post_init__(self) -> None:
         check_range(self, "episodes", low=1)
-        check_range(self, "seed_index", "fps", low=0)
+        check_range(self, "seed_index", low=0)
+        check_range(self, "fps", low=SLOWEST_FPS, high=FASTEST_FPS)
 
 
 @dataclass(frozen=True)
