@@ -12,7 +12,6 @@ and waits for all JAX processes, although each process of a sweep saves its own 
 import errno
 import io
 import json
-import os
 import shutil
 import zipfile
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 
 from hmasd_jax.config import identity
 from hmasd_jax.runs import legacy_checkpoint
+from hmasd_jax.runs.durable import replace, sync_folder
 from hmasd_jax.runs.legacy_checkpoint import ForeignCheckpointError
 from hmasd_jax.types import Algorithm
 from hmasd_jax.validation import parse_index
@@ -63,9 +63,13 @@ def save(folder: Path, step: int, state: State, config: dict, keep: int) -> None
     # Via memory: if a write fails, np.savez otherwise reports errors a second time on cleanup.
     buffer = io.BytesIO()
     np.savez(buffer, config=np.array(json.dumps(config)), **arrays)
+    folder = Path(folder)
     try:
-        _replace(Path(folder) / f"{step}.npz", buffer.getbuffer())
-        _prune(Path(folder), keep)
+        if not folder.exists():
+            folder.mkdir(parents=True)
+            sync_folder(folder.parent)
+        replace(folder / f"{step}.npz", buffer.getbuffer())
+        _prune(folder, keep)
     except OSError as error:
         raise CheckpointError(_save_failure(folder, step, error)) from error
 
@@ -239,21 +243,6 @@ def _remedy(folder: Path, earlier: list[int], template: State, config: dict) -> 
             continue
         return f"delete it to continue from step {step}, which is intact"
     return "no earlier checkpoint is intact; train again in another run folder"
-
-
-def _replace(path: Path, data: memoryview) -> None:
-    """Write a file atomically: after a kill or a power cut it is either old or new."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".tmp")
-    try:
-        with unfinished.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except OSError:
-        unfinished.unlink(missing_ok=True)
-        raise
 
 
 def _prune(folder: Path, keep: int) -> None:

@@ -29,6 +29,7 @@ from hmasd_jax.config import (
     subtable,
     to_json,
 )
+from hmasd_jax.runs import durable
 from hmasd_jax.validation import parse_index
 
 try:
@@ -150,9 +151,7 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 def write_json(path: Path, value: Any) -> None:
     """Write a JSON file atomically, so that a reader never sees half of it."""
-    unfinished = path.with_suffix(".tmp")
-    unfinished.write_text(json.dumps(value, indent=2) + "\n")
-    unfinished.replace(path)
+    durable.replace(path, f"{json.dumps(value, indent=2)}\n".encode())
 
 
 def describe(command: list[str]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+from hmasd_jax.runs import durable
 from hmasd_jax.runs.folder import RunError, metrics_path, seed_folder
 from hmasd_jax.validation import ConfigError, parse_json
 
@@ -30,6 +31,10 @@ class Writer(Protocol):
         """Write one record."""
         ...
 
+    def sync(self) -> None:
+        """Pass on all records; those of files are on disk when this returns."""
+        ...
+
     def close(self) -> None:
         """Finish writing. `write` must not be called afterwards."""
         ...
@@ -41,11 +46,16 @@ class JsonLines:
     def __init__(self, path: Path) -> None:
         """Open the file to append to it."""
         self._file = path.open("a")
+        durable.sync_folder(path.parent)
 
     def write(self, record: Record) -> None:
         """Append a line."""
         self._file.write(json.dumps(record, allow_nan=False) + "\n")
         self._file.flush()
+
+    def sync(self) -> None:
+        """Wait until all lines are on disk."""
+        durable.sync(self._file)
 
     def close(self) -> None:
         """Close the file."""
@@ -65,6 +75,10 @@ class TensorBoard:
         """Add every number of the record as a scalar."""
         for name, value in _metrics(record).items():
             self._writer.add_scalar(name, value, record["env_steps"])
+
+    def sync(self) -> None:
+        """Write the buffered scalars."""
+        self._writer.flush()
 
     def close(self) -> None:
         """Write the buffered scalars and close the file."""
@@ -94,6 +108,9 @@ class WeightsAndBiases:
     def write(self, record: Record) -> None:
         """Log every number of the record."""
         self._run.log({"env_steps": record["env_steps"], **_metrics(record)})
+
+    def sync(self) -> None:
+        """Do nothing, because a process of its own uploads the records."""
 
     def close(self) -> None:
         """Upload the remaining records."""
@@ -190,11 +207,11 @@ def keep_until(path: Path, env_steps: int) -> str | None:
     if moved := [*log.damaged, *later, *unfinished]:
         with removed.open("ab") as file:
             file.write(b"".join(line + b"\n" for line in moved))
+            durable.sync(file)
+        durable.sync_folder(removed.parent)
     content = b"".join(line + b"\n" for line in kept)
     if path.exists() and path.read_bytes() != content:
-        rewritten = path.with_suffix(".tmp")
-        rewritten.write_bytes(content)
-        rewritten.replace(path)
+        durable.replace(path, content)
     told = _tell(path, log)
     return f"{told}; they are now in {removed}" if told else None
 

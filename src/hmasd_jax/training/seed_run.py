@@ -60,7 +60,13 @@ class SeedRun:
         self.job.report(Event(kind, self.index, record))
 
     def save(self, env_steps: int, state: Any) -> None:
-        """Save a checkpoint of this seed's train state."""
+        """Save a checkpoint of this seed's train state, after the metrics up to it.
+
+        The other way round, a power cut may leave a checkpoint whose metrics are lost, and nothing
+        would train them again.
+        """
+        for writer in self.writers:
+            writer.sync()
         keep = self.job.config.keep_checkpoints
         checkpoint.save(self.checkpoints, env_steps, state, self.config, keep)
 
