@@ -1,15 +1,20 @@
 """Programs on disk: where they are kept, and that one which computes something else is not used."""
 
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 import pytest
 
-from hmasd_jax.config import build, load
+from hmasd_jax import config as configs
+from hmasd_jax.runs.folder import hold
 from hmasd_jax.training import executable_cache
 from hmasd_jax.training.compiled import compile_programs
-from hmasd_jax.training.executable_cache import describe_processor, use_cache
+from hmasd_jax.training.executable_cache import describe_processor, load_or_compile, use_cache
 from tests.helpers.toy import SETTINGS
 
 CPUINFO = """processor : 0
@@ -111,8 +116,8 @@ def test_where_nothing_can_be_kept_one_line_says_so(untold, monkeypatch, tmp_pat
 def compile_toy():
     """Compile the programs of the toy as a new process does, and run them."""
     jax.clear_caches()
-    config = load(None, SETTINGS)
-    programs = compile_programs(*build(config), config.eval_episodes, 1, "vmap")
+    config = configs.load(None, SETTINGS)
+    programs = compile_programs(*configs.build(config), config.eval_episodes, 1, "vmap")
     states = programs.init(jax.random.split(jax.random.key(3), 1))
     return np.asarray(programs.advance(states, np.int32(2)).states.learner.params["w"])
 
@@ -151,3 +156,55 @@ def test_a_damaged_program_is_compiled_anew(folder):
         path.write_bytes(path.read_bytes()[:100])
     with pytest.warns(UserWarning, match="Error reading persistent compilation cache"):
         np.testing.assert_array_equal(compile_toy(), first)
+
+
+@pytest.fixture
+def load(folder):
+    """`load(compile_all)`: load or compile a program that computes nothing."""
+    program = SimpleNamespace(as_text=lambda: "program")
+    return lambda compile_all: load_or_compile([program], compile_all, lambda _: np.zeros(2))
+
+
+def test_a_program_is_locked_only_while_it_is_compiled(folder, load):
+    locked = []
+
+    def compile_all():
+        with hold(next(folder.glob("*.lock"))) as is_free:
+            locked.append(not is_free)
+
+    load(compile_all)
+    load(compile_all)
+    assert locked == [True, False]
+
+
+def test_one_compiles_and_those_that_waited_load_at_once(folder, load):
+    """Let three others wait for a program, and each of them load it until all three do."""
+    compiled, together = [], threading.Barrier(3)
+
+    def compile_all():
+        if list(folder.glob("*.sha256")):
+            together.wait(timeout=20)
+            return "loaded"
+        compiled.append(1)
+        time.sleep(0.2)  # Meanwhile the others come.
+        return "compiled"
+
+    with ThreadPoolExecutor(4) as pool:
+        results = list(pool.map(lambda _: load(compile_all), range(4)))
+    assert sorted(results) == ["compiled", "loaded", "loaded", "loaded"]
+    assert compiled == [1]
+
+
+def test_a_record_appears_as_a_whole(folder, load, monkeypatch):
+    """Stop before the record is in place, as a kill does, and compile again."""
+
+    def stop(path, target):
+        raise InterruptedError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "replace", stop)
+        with pytest.raises(InterruptedError):
+            load(lambda: "killed")
+    assert not list(folder.glob("*.sha256"))
+    assert load(lambda: "compiled") == "compiled"
+    assert len(list(folder.glob("*.sha256"))) == 1

@@ -21,6 +21,7 @@ import jaxlib
 import numpy as np
 from jax.experimental.compilation_cache import compilation_cache
 
+from hmasd_jax.runs.durable import replace
 from hmasd_jax.runs.folder import available_cores, exclusive
 
 T = TypeVar("T")
@@ -81,8 +82,9 @@ def load_or_compile(
 ) -> T:
     """Compile programs, or load them if any process has compiled them.
 
-    Of processes that need the same programs, one compiles and the others wait. On a CPU, programs
-    from disk are used only if they compute what they did when they were compiled.
+    Of processes that need the same programs, one compiles and the others wait. Programs that have
+    been compiled are loaded by all at once. On a CPU, programs from disk are used only if they
+    compute what they did when they were compiled.
 
     Args:
         programs: The programs.
@@ -98,20 +100,27 @@ def load_or_compile(
     setting = f"{describe_processor()} {len(available_cores())} {fast_to_compile}"
     key = digest_of([*texts, setting.encode()])
     record = Path(folder) / f"{key}.sha256"
-    with exclusive(record.with_suffix(".lock")):
-        executables = compile_all()
-        computed = digest_of(np.asarray(x).tobytes() for x in jax.tree.leaves(compute(executables)))
-        if not record.exists():
-            record.write_text(computed)
-        if record.read_text() == computed:
-            return executables
-        logging.getLogger(__name__).warning(
-            "warning: compiling anew, since programs kept in %s computed something else than when "
-            "they were compiled; delete it",
-            folder,
-        )
-        with _disabled():
-            return compile_all()
+    if not record.exists():
+        with exclusive(record.with_suffix(".lock")):
+            if not record.exists():  # Another process may have written it meanwhile.
+                executables = compile_all()
+                replace(record, _digest_results(compute(executables)).encode())
+                return executables
+    executables = compile_all()
+    if record.read_text() == _digest_results(compute(executables)):
+        return executables
+    logging.getLogger(__name__).warning(
+        "warning: compiling anew, since programs kept in %s computed something else than when "
+        "they were compiled; delete it",
+        folder,
+    )
+    with _disabled():
+        return compile_all()
+
+
+def _digest_results(arrays: Any) -> str:
+    """Return a digest of what programs have computed."""
+    return digest_of(np.asarray(x).tobytes() for x in jax.tree.leaves(arrays))
 
 
 @contextmanager
