@@ -22,6 +22,7 @@ from hmasd_jax.cli.options import (
     TrainOptions,
     TuneOptions,
 )
+from hmasd_jax.cli.wrap import fill
 from hmasd_jax.validation import ConfigError
 
 
@@ -183,7 +184,7 @@ def _prepare_streams() -> None:
 
 def usage() -> str:
     """Return the list of commands."""
-    lines = [f"  {name:<11} {command.summary}" for name, command in COMMANDS.items()]
+    lines = [fill(f"  {name:<11} {command.summary}", 14) for name, command in COMMANDS.items()]
     head = "usage: python -m hmasd_jax.train COMMAND [--help] [OPTIONS]"
     return "\n".join([head, "", *lines])
 
