@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from envs_jax import Environment
 from envs_jax.declared import count_events, locate_agents
 from hmasd_jax.analysis.episodes import Episode, Played, cut, play, skills_of
+from hmasd_jax.hmasd.policy import hold
 from hmasd_jax.runs.load import TrainedRun
 
 Kind = Literal["free", "held", "one agent", "removed"]
@@ -109,14 +110,15 @@ def allowed_skills(
     condition: Condition, num_team_skills: int, num_skills: int, num_agents: int
 ) -> NDArray[np.bool_]:
     """Return the skills that a condition allows the team and each agent, (1 + N, skills)."""
-    allowed = np.ones((1 + num_agents, max(num_team_skills, num_skills)), bool)
-    if condition.kind == "free":
-        return allowed
-    tokens = slice(1) if condition.level == "team" else slice(1, None)
+    tokens = [0] if condition.level == "team" else list(range(1, 1 + num_agents))
     if condition.kind == "one agent":
-        tokens = slice(1 + condition.agent, 2 + condition.agent)
-    is_skill = np.arange(allowed.shape[1]) == condition.skill
-    allowed[tokens] = ~is_skill if condition.kind == "removed" else is_skill
+        tokens = [1 + condition.agent]
+    elif condition.kind == "free":
+        tokens = []
+    skills = [condition.skill if token in tokens else None for token in range(1 + num_agents)]
+    allowed = hold(skills, num_team_skills, num_skills)
+    if condition.kind == "removed":
+        allowed[tokens] = ~allowed[tokens]
     return allowed
 
 

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
@@ -86,5 +87,21 @@ def only(parts: Parts, skills: Sequence[int | None]) -> Bool[Array, "tokens skil
         if skill is not None and not 0 <= skill < count:
             name = f"skill of agent {token}" if token else "team skill"
             raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
-    index = jnp.arange(parts.coordinator.max_skills)
-    return jnp.stack([(index >= 0) if skill is None else index == skill for skill in skills])
+    return jnp.asarray(hold(skills, parts.config.num_team_skills, parts.config.num_skills))
+
+
+def hold(
+    skills: Sequence[int | None], num_team_skills: int, num_skills: int
+) -> Bool[np.ndarray, "tokens skills"]:
+    """Return the mask that allows each token one skill, or all where it is None.
+
+    The coordinator itself leaves out those that a token does not have.
+
+    Args:
+        skills: (Z, z^1, .., z^N), each of which exists or is None.
+        num_team_skills: n_Z.
+        num_skills: n_z.
+    """
+    index = np.arange(max(num_team_skills, num_skills))
+    rows = [(index >= 0) if skill is None else index == skill for skill in skills]
+    return np.array(rows, bool).reshape(len(skills), len(index))

@@ -13,6 +13,7 @@ from hmasd_jax.analysis.episodes import Episode, Loop, Played, advance, skills_o
 from hmasd_jax.analysis.frames import INK, draw_frame
 from hmasd_jax.analysis.render import draw_pictures
 from hmasd_jax.analysis.skills import count_skills
+from hmasd_jax.hmasd.policy import hold
 from hmasd_jax.report.media import Film, make_film, picture_uri
 from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
@@ -97,7 +98,7 @@ class Driver:
             self.restart()
         self.chosen = tuple(skills)
         key = jax.random.fold_in(self._key, self.time)
-        allowed = self._allow(skills)
+        allowed = hold(skills, *self._counts)
         self._loop, played = self._advance(self._trained.state, self._loop, allowed, key)
         self._take(jax.device_get(jax.tree.map(lambda x: x[0], played)))
 
@@ -140,13 +141,6 @@ class Driver:
             if skill is not None and not 0 <= skill < count:
                 name = f"z of agent {token}" if token else "Z"
                 raise ConfigError(f"{name} must be between 0 and {count - 1}, got {skill}")
-
-    def _allow(self, skills: Sequence[int | None]) -> NDArray[np.bool_]:
-        allowed = np.ones((self.num_tokens, max(self._counts)), bool)
-        for token, skill in enumerate(skills):
-            if skill is not None:
-                allowed[token] = np.arange(allowed.shape[1]) == skill
-        return allowed
 
     def _take(self, played: Played) -> None:
         """Add a segment, cut at the end of the episode, and draw it."""
