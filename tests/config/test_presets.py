@@ -12,7 +12,7 @@ from envs_jax.overcooked import features
 from envs_jax.overcooked.environment import REWARD, Overcooked
 from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig, LocalStateConfig
 from hmasd_jax.baselines.qmix.config import MASERConfig, QLearningConfig
-from hmasd_jax.config import from_json, load, to_json
+from hmasd_jax.config import from_json, identity, load, to_json
 from hmasd_jax.config.presets import find_preset
 from hmasd_jax.rl.ppo import PPOConfig
 
@@ -76,6 +76,21 @@ def test_another_task_has_no_preset():
     table = to_json(load(None, {"env.name": "micro_battle", "env.scenario": "3m"}))
     assert find_preset(table | {"env": table["env"] | {"scenario": "mine"}}) is None
     assert find_preset(table | {"algorithm": {"name": "mine"}}) is None
+
+
+@pytest.mark.parametrize(
+    "path", sorted(CONFIGS.glob("**/no*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
+)
+def test_an_ablation_is_the_papers_preset_but_for_marked_lines(path):
+    """A marked line says what is there in hmasd.toml."""
+    ablated, full = (identity(to_json(load(p))) for p in (path, path.with_name("hmasd.toml")))
+    changed = {
+        name.removeprefix("algorithm."): value
+        for name, value in full.items()
+        if ablated[name] != value
+    }
+    marked = re.findall(r"^(\w+) = .*# not ([\w.\"]+)", path.read_text(), re.MULTILINE)
+    assert {name: json.loads(value) for name, value in marked} == changed
 
 
 @pytest.mark.parametrize("name", ["hmasd", "mappo", "mat"])
