@@ -1,91 +1,31 @@
 """Record a finished run in results/TASK/NAME.json, draw it, and rewrite docs/results.md.
 
 python scripts/record_result.py RUN [RUN ...] results/alice_and_bob/hmasd.json
+python scripts/record_result.py --add RUN [RUN ...] results/alice_and_bob/hmasd.json
 python scripts/record_result.py      # only rewrites docs/results.md from the recorded files
 
 TASK is one of `TASKS`. NAME begins with the algorithm's name, or with `no` for an ablation. Several
 runs are recorded as one. They have one seed each, from the same command but for its `--seed-index`.
+With `--add` they go behind the seeds that are recorded.
 """
 
 import argparse
 import json
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-from hmasd_jax.analysis.curves import Reference, plot_result
+from hmasd_jax.analysis.curves import plot_result
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.analysis.statistics import last_evaluations, summarize
+from scripts import comparison
+from scripts.paper import TASKS, Task
 from scripts.records import RESULTS, ROOT
-from scripts.result_figures import TOGETHER, draw_together
+from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
-from scripts.run_records import record_together
+from scripts.run_records import add_seeds, commits_of, record_together
 
 PAGE = ROOT / "docs" / "results.md"
 
-
-class Task(NamedTuple):
-    """Task of the paper, in the units of the page: percent of success, or the return."""
-
-    paper: dict[str, str]
-    """Mean and standard deviation over the paper's five seeds, by algorithm."""
-    bar: float
-    """Score from which a seed counts as one that learned."""
-    reference: Reference | None = None
-    """Curve of the paper's HMASD, read off its figures; final numbers are the text's if given."""
-
-
-TASKS = {
-    "alice_and_bob": Task(
-        {"hmasd": "74 ± 26", "mappo": "0", "mat": "40 ± 49", "maser": "0"},
-        90,
-        Reference(
-            "paper, Fig. 5 (5 seeds)",
-            (0.5e6, 1.0e6, 1.3e6, 1.9e6, 2.5e6),
-            (0.21, 0.60, 0.64, 0.55, 0.79),
-            final=(0.74, 0.26),
-        ),
-    ),
-    "overcooked/cramped_room": Task(
-        {
-            "hmasd": "236 ± 8",
-            "mappo": "180 ± 90",
-            "mat": "168 ± 88",
-            "maser": "0",
-            "eiti": "0.122 ± 0.013",
-            "edti": "0.119 ± 0.015",
-        },
-        200,  # below the worst of the paper's five, 220 if four have 240
-        Reference("paper, Fig. 7 (5 seeds)", (3e6, 4.5e6), (94, 213), final=(236, 8)),
-    ),
-    "overcooked/asymmetric_advantages": Task(
-        {
-            "hmasd": "295 ± 85",
-            "mappo": "52 ± 104",
-            "mat": "86 ± 112",
-            "maser": "0",
-            "eiti": "0.008 ± 0.002",
-            "edti": "0.004 ± 0.002",
-        },
-        295,
-    ),
-    "overcooked/coordination_ring": Task(
-        {"hmasd": "80 ± 98", "mappo": "0", "mat": "0", "maser": "0", "eiti": "0", "edti": "0"}, 80
-    ),
-    "micro_battle/3m": Task(
-        {"hmasd": "80 ± 40", "mappo": "0", "mat": "0", "maser": "62"},
-        80,
-        Reference(
-            "paper, Fig. 6 (5 seeds, StarCraft II)",
-            (0.7e6, 1.0e6, 1.2e6),
-            (0.08, 0.49, 0.72),
-            final=(0.8, 0.4),
-        ),
-    ),
-    "micro_battle/2s_vs_1sc": Task(
-        {"hmasd": "60 ± 49", "mappo": "0", "mat": "0", "maser": "0"}, 80
-    ),
-    "micro_battle/2m_vs_1z": Task({"hmasd": "40 ± 49", "mappo": "0", "mat": "0", "maser": "0"}, 80),
-}
 
 HEAD = """# Results
 
@@ -108,6 +48,7 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
 | `_disc` | the preset of the row without it, since units start in a disc (commit cf92a6c) |
 | `_lambda_095` | the retired preset with a lambda of GAE of 0.95 |
+| `_skill_interval_K`, `_num_team_skills_N`, `_num_skills_N` | other skills (the paper's Fig. 10) |
 | `_terminal` | an earlier form of the retired preset, for which the time limit ends the task |
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
@@ -141,11 +82,11 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         f"[{path.stem}](../{path.relative_to(ROOT)}){mark}",
         str(final["seeds"]),
         f"{kept['env_steps'][-1]:,}",
-        task.paper.get(algorithm_of(path), ""),
+        task.paper.get(path.stem) or task.paper.get(algorithm_of(path), ""),
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
-        f"`{kept['commit'][:7]}`",
+        ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(commits_of(kept))),
         f"{sum(kept['wall_seconds']) / 60:.0f}",
     ]
     return f"| {' | '.join(cells)} |"
@@ -196,11 +137,16 @@ def section(name: str, task: Task) -> str:
 def page() -> str:
     """Return the text of docs/results.md."""
     sections = [section(name, task) for name, task in TASKS.items() if recorded(name)]
-    return "\n".join([HEAD.format(last=LAST), *sections])
+    return "\n".join([HEAD.format(last=LAST), *comparison.table(), "", *sections])
 
 
-def keep(runs: list[Path], out: Path) -> None:
+def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     """Write the record of `runs` to `out` and draw the images of its task.
+
+    Args:
+        runs: folders of the runs.
+        out: file to write.
+        add: if True, keep the seeds that `out` has, and put those of `runs` behind them.
 
     Raises:
         ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or a run is not
@@ -210,10 +156,10 @@ def keep(runs: list[Path], out: Path) -> None:
     if out.parent not in folders or out.suffix != ".json":
         raise ValueError(f"OUT must be results/TASK/NAME.json with TASK one of {', '.join(TASKS)}")
     task = folders[out.parent]
-    kept = record_together(runs)
+    kept = add_seeds(json.loads(out.read_text()), runs) if add else record_together(runs)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(kept) + "\n")
-    if algorithm_of(out) == "hmasd":
+    if algorithm_of(out) == "hmasd" and not any(setting in out.stem for setting in SKILLS):
         plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
     draw_together(task, recorded(task))
 
@@ -228,14 +174,16 @@ def main() -> None:
         metavar="PATH",
         help="folders of finished runs, then the file to write: results/TASK/NAME.json",
     )
-    paths = parser.parse_args().paths
+    parser.add_argument("--add", action="store_true", help="keep the seeds that OUT has already")
+    args = parser.parse_args()
+    paths = args.paths
     if len(paths) == 1:
         parser.error("give OUT too, the file to write: results/TASK/NAME.json")
     if paths:
         *runs, out = paths
         try:
-            keep(runs, out.resolve())
-        except ValueError as error:
+            keep(runs, out.resolve(), args.add)
+        except (ValueError, FileNotFoundError) as error:
             parser.error(str(error))
     PAGE.write_text(page())
 

@@ -18,7 +18,9 @@ from hmasd_jax.analysis.figures import (
 )
 from scripts.records import RESULTS
 
-TOGETHER = ("compared", "retired", "ablations")
+SKILLS = ("skill_interval", "num_team_skills", "num_skills")
+"""Settings that the paper's Fig. 10 varies; runs are named after them."""
+TOGETHER = ("compared", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets, and of steps towards them."""
@@ -28,11 +30,11 @@ STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
 
 def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     """Return the files that each image shows; images of HMASD alone are left out."""
-    ablations = [path for path in files if path.stem.startswith("no")]
-    retired = [path for path in files if path.stem.startswith(RETIRED)]
-    others = [path for path in files if path not in ablations + retired]
+    beginnings = (RETIRED, "no", *(f"hmasd_{setting}" for setting in SKILLS))
+    groups = [[path for path in files if path.stem.startswith(begin)] for begin in beginnings]
+    others = [path for path in files if not any(path in group for group in groups)]
     full = [path for path in files if path.stem == "hmasd"]
-    images = dict(zip(TOGETHER, (others, full + retired, full + ablations)))
+    images = dict(zip(TOGETHER, (others, *(full + group for group in groups))))
     return {name: paths for name, paths in images.items() if paths != full}
 
 

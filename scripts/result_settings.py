@@ -16,14 +16,20 @@ def preset_of(record: Mapping[str, Any]) -> Path:
     return ROOT / config[1]
 
 
-def changed_settings(record: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+def changed_settings(
+    record: Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+) -> dict[str, tuple[Any, Any]]:
     """Return the settings of a record that its preset has with another value today.
 
     Each comes with the recorded value and the preset's. Seeds and the number of steps, which are
     not the preset's choice, and settings that no longer exist are left out. A setting that did not
     exist at the time has its default.
+
+    Args:
+        record: record of a run.
+        overrides: settings by dotted name that replace those of the preset.
     """
-    preset = to_json(load(preset_of(record)))
+    preset = to_json(load(preset_of(record), dict(overrides or {})))
     recorded = to_json(from_json(_known(record["config"], preset)))
     old, new = _compared(recorded), _compared(preset)
     return {name: (old[name], new[name]) for name in new if old[name] != new[name]}

@@ -83,6 +83,57 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
     return joined | {"command": command}
 
 
+def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
+    """Return a record with the seeds of `runs` behind those of `earlier`.
+
+    The runs may be of a later commit. The record then has `commits`, one per seed.
+
+    Raises:
+        ValueError: a run cannot be recorded, has another command or other evaluations than
+            `earlier`, or a seed that `earlier` has, too.
+    """
+    new = record_together(runs)
+    command = any_count(earlier["command"])
+    if any_count(new["command"]) != command:
+        raise ValueError(f"{runs[0]} must have the command of the record: {earlier['command']}")
+    if new["env_steps"] != earlier["env_steps"]:
+        raise ValueError(f"{runs[0]} was not evaluated at the steps of the record")
+    seeds = recorded_seeds(earlier), recorded_seeds(new)
+    twice = sorted(set(seeds[0]) & set(seeds[1]))
+    if twice:
+        raise ValueError(f"seed {twice[0]} is in the record already")
+    numbers = ",".join(map(str, [*seeds[0], *seeds[1]]))
+    steps = new["config"]["total_env_steps"]
+    joined = {
+        **earlier,
+        "command": f"{command} --total-env-steps {steps} --seed-index I for I = {numbers}",
+        "commits": [commit for record in (earlier, new) for commit in commits_of(record)],
+    }
+    for name in ("values", "training_means", "wall_seconds"):
+        joined[name] = earlier[name] + new[name]
+    return joined
+
+
+def commits_of(record: dict[str, Any]) -> list[str]:
+    """Return the commit of each seed of a record."""
+    return record.get("commits") or [record["commit"]] * len(record["values"])
+
+
+def recorded_seeds(record: dict[str, Any]) -> list[int]:
+    """Return the indices of the seeds of a record, from its command."""
+    command = record["command"]
+    if " for I = " in command:
+        return [int(seed) for seed in command.partition(" for I = ")[2].split(",")]
+    single = re.search(r" --seed-index (\d+)", command)
+    return [int(single[1])] if single else list(range(len(record["values"])))
+
+
+def any_count(command: str) -> str:
+    """Return the command that trains one of the seeds, of however many."""
+    command = any_seed(command.partition(" for I = ")[0]).replace(" seed_sweep ", " train ")
+    return re.sub(r" --num-seeds \S+", "", command)
+
+
 def any_seed(command: str) -> str:
     """Remove the seed, the number of steps and the run folder from a command."""
     return re.sub(r" --(seed-index|total-env-steps|run-dir) \S+", "", command)

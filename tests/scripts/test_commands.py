@@ -9,6 +9,7 @@ from scripts.records import ROOT
 
 SCRIPTS = [
     "battle_tactics",
+    "comparison",
     "lost_battles",
     "random_play",
     "record_result",

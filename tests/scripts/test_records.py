@@ -122,6 +122,30 @@ def test_runs_that_ended_at_different_steps_are_not_recorded_as_one(seed_runs):
         run_records.record_together(seed_runs)
 
 
+def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
+    first = run_records.record_together(seed_runs[:1])
+    about = json.loads((seed_runs[1] / "run.json").read_text())
+    (seed_runs[1] / "run.json").write_text(json.dumps(about | {"commit": "def"}))
+    both = run_records.add_seeds(first, seed_runs[1:])
+    assert both["command"] == "python x --seed 3 --total-env-steps 8 --seed-index I for I = 0,1"
+    assert both["commits"] == ["abc", "def"]
+    assert both["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
+    assert (len(both["training_means"]), len(both["wall_seconds"])) == (2, 2)
+    with pytest.raises(ValueError, match="seed 1 is in the record already"):
+        run_records.add_seeds(both, seed_runs[1:])
+    with pytest.raises(ValueError, match="was not evaluated at the steps of the record"):
+        run_records.add_seeds(first | {"env_steps": [0]}, seed_runs[1:])
+    with pytest.raises(ValueError, match="run_1 must have the command of the record"):
+        run_records.add_seeds(first | {"command": "python y"}, seed_runs[1:])
+
+
+def test_a_sweep_and_single_seeds_train_the_same():
+    record = {"command": "train seed_sweep --num-seeds 2 --run-dir x", "values": [[0.0], [1.0]]}
+    assert run_records.recorded_seeds(record) == [0, 1]
+    single = "train train --num-seeds 30 --seed-index 4 --run-dir y"
+    assert run_records.any_count(single) == run_records.any_count(record["command"])
+
+
 def test_page_shows_what_was_recorded():
     assert record_result.PAGE.read_text() == record_result.page()
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from scripts import record_result, result_figures
+from scripts import paper, record_result, result_figures
 
 IMAGES = [
     (task, name, paths)
-    for task in record_result.TASKS
+    for task in paper.TASKS
     for name, paths in result_figures.shown(record_result.recorded(task)).items()
 ]
 
@@ -24,12 +24,13 @@ def test_a_configuration_looks_the_same_in_all_images():
     assert result_figures.styles_of(["mappo", "hmasd_general", "x", "y"]) == [3, 1, 0, 2]
 
 
-def test_retired_presets_and_ablations_have_images_of_their_own():
-    names = ("hmasd", "hmasd_robust_again", "mappo", "nohigh")
+def test_retired_presets_ablations_and_other_skills_have_images_of_their_own():
+    names = ("hmasd", "hmasd_robust_again", "hmasd_num_skills_5", "mappo", "nohigh")
     shown = result_figures.shown([Path(f"{name}.json") for name in names])
     assert {name: [path.stem for path in paths] for name, paths in shown.items()} == {
         "compared": ["hmasd", "mappo"],
         "retired": ["hmasd", "hmasd_robust_again"],
         "ablations": ["hmasd", "nohigh"],
+        "num_skills": ["hmasd", "hmasd_num_skills_5"],
     }
     assert result_figures.shown([Path("hmasd.json")]) == {}

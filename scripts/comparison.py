@@ -1,0 +1,137 @@
+"""List the runs of the paper's comparison, and say which of them are recorded.
+
+python scripts/comparison.py             # seeds recorded and wanted, of every cell
+python scripts/comparison.py --commands  # a command for each seed that is not recorded
+
+A cell is a system on a task, with the paper's settings and steps: HMASD and the baselines on all
+tasks, and on 3m its ablations (Fig. 8) and other skills (Fig. 10). Its record is
+results/TASK/NAME.json, to which `scripts/record_result.py --add` adds seeds as they end.
+"""
+
+import argparse
+import json
+from collections.abc import Iterator
+from itertools import product
+from typing import Any, NamedTuple
+
+from hmasd_jax.analysis.learning import LAST
+from hmasd_jax.analysis.statistics import last_evaluations, summarize
+from scripts.paper import TASKS
+from scripts.records import RESULTS
+from scripts.result_figures import SKILLS
+from scripts.result_settings import changed_settings
+from scripts.run_records import recorded_seeds
+
+SYSTEMS = ("hmasd", "mappo", "mat", "maser", "eiti", "edti")
+INFLUENCE = ("eiti", "edti")
+"""Systems that the paper has in Overcooked only."""
+ABLATIONS = ("noteam", "noindi", "nohigh", "noexrew", "noinrew")
+SKILL_VALUES = ((5, 10, 50), (2, 4, 5), (2, 4, 5))
+"""Values of Fig. 10 for each setting of `SKILLS`, beside those of the preset of 3m."""
+
+
+class Cell(NamedTuple):
+    """A system on a task."""
+
+    task: str
+    name: str
+    """Name of the record."""
+    preset: str
+    seeds: int
+    """Number of seeds wanted."""
+    overrides: dict[str, Any]
+    """Settings by dotted name that differ from the preset's."""
+
+    def command(self, seed: int) -> str:
+        """Return the command that trains one seed."""
+        changed = [f"--{name.replace('_', '-')} {value}" for name, value in self.overrides.items()]
+        words = [
+            "python -m hmasd_jax.train train",
+            f"--config configs/{self.task}/{self.preset}.toml",
+            *changed,
+            f"--num-seeds {self.seeds} --seed-index {seed}",
+            f"--run-dir runs/{self.task.replace('/', '_')}_{self.name}_{seed}",
+        ]
+        return " ".join(words)
+
+    def record(self) -> dict[str, Any] | None:
+        """Return the record, or None if there is none."""
+        path = RESULTS / self.task / f"{self.name}.json"
+        return json.loads(path.read_text()) if path.exists() else None
+
+    def missing(self) -> list[int]:
+        """Return the seeds that are not recorded with the settings of today."""
+        record = self.record()
+        if record is None or changed_settings(record, self.overrides):
+            return list(range(self.seeds))
+        return [seed for seed in range(self.seeds) if seed not in recorded_seeds(record)]
+
+
+def cells() -> Iterator[Cell]:
+    """Yield all cells."""
+    for task, system in product(TASKS, SYSTEMS):
+        if system not in INFLUENCE or task.startswith("overcooked"):
+            yield Cell(task, system, system, seeds_of(task, system), {})
+    for name in ABLATIONS:
+        yield Cell("micro_battle/3m", name, name, 5, {})
+    for name, values in zip(SKILLS, SKILL_VALUES):
+        for value in values:
+            overrides = {f"algorithm.{name}": value}
+            yield Cell("micro_battle/3m", f"hmasd_{name}_{value}", "hmasd", 5, overrides)
+
+
+def seeds_of(task: str, system: str) -> int:
+    """Return the number of seeds wanted: the paper's five, and more on its toy task."""
+    if task != "alice_and_bob":
+        return 5
+    return 30 if system == "hmasd" else 10
+
+
+def table() -> list[str]:
+    """Return the lines of a table of all systems on all tasks, beside the paper's numbers."""
+    return [
+        "## The paper's comparison",
+        "",
+        "Ours above, the paper's below. `python scripts/comparison.py` counts the seeds that are",
+        "wanted and recorded, and with `--commands` prints what is left to run. A number marked *",
+        "has other settings than today's preset.",
+        "",
+        f"| task | {' | '.join(system.upper() for system in SYSTEMS)} |",
+        "|---" * (1 + len(SYSTEMS)) + "|",
+        *(f"| {task} | {' | '.join(shown(task, x) for x in SYSTEMS)} |" for task in TASKS),
+    ]
+
+
+def shown(task: str, system: str) -> str:
+    """Return the text of one cell of the table."""
+    paper = TASKS[task].paper.get(system)
+    if paper is None:
+        return ""
+    record = Cell(task, system, system, 0, {}).record()
+    if record is None:
+        return f"not run<br>{paper}"
+    scale = 100 if record["metric"] == "success" else 1
+    final = summarize(scale * last_evaluations(record["values"], LAST), TASKS[task].bar)
+    mark = " *" if changed_settings(record) else ""
+    seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}"
+    return f"{final['mean']:.1f} ± {final['std']:.1f} ({seeds}){mark}<br>{paper}"
+
+
+def main() -> None:
+    """Print the cells, or the commands that are left."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument(
+        "--commands", action="store_true", help="print a command for each missing seed"
+    )
+    wants_commands = parser.parse_args().commands
+    for cell in cells():
+        missing = cell.missing()
+        if wants_commands:
+            print(*(cell.command(seed) for seed in missing), sep="\n", end="\n" * bool(missing))
+        else:
+            have = cell.seeds - len(missing)
+            print(f"{cell.task:34}{cell.name:26}{have:3} of {cell.seeds}")
+
+
+if __name__ == "__main__":
+    main()
