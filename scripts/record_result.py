@@ -146,7 +146,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     Args:
         runs: folders of the runs.
         out: file to write.
-        add: if True, keep the seeds that `out` has, and put those of `runs` behind them.
+        add: if True, keep the seeds that `out` may have, and put those of `runs` behind them.
 
     Raises:
         ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or a run is not
@@ -156,7 +156,8 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     if out.parent not in folders or out.suffix != ".json":
         raise ValueError(f"OUT must be results/TASK/NAME.json with TASK one of {', '.join(TASKS)}")
     task = folders[out.parent]
-    kept = add_seeds(json.loads(out.read_text()), runs) if add else record_together(runs)
+    is_more = add and out.exists()
+    kept = add_seeds(json.loads(out.read_text()), runs) if is_more else record_together(runs)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(kept) + "\n")
     if algorithm_of(out) == "hmasd" and not any(setting in out.stem for setting in SKILLS):
@@ -183,7 +184,7 @@ def main() -> None:
         *runs, out = paths
         try:
             keep(runs, out.resolve(), args.add)
-        except (ValueError, FileNotFoundError) as error:
+        except ValueError as error:
             parser.error(str(error))
     PAGE.write_text(page())
 
