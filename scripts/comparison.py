@@ -11,23 +11,15 @@ results/TASK/NAME.json, to which `scripts/record_result.py --add` adds seeds as 
 import argparse
 import json
 from collections.abc import Iterator
-from itertools import product
 from typing import Any, NamedTuple
 
-from hmasd_jax.analysis.learning import LAST
-from hmasd_jax.analysis.statistics import last_evaluations, summarize
-from scripts.paper import TASKS
+from scripts.paper import TASKS, summarize_record
 from scripts.records import RESULTS
-from scripts.result_figures import SKILLS
 from scripts.result_settings import changed_settings
 from scripts.run_records import recorded_seeds
 
 SYSTEMS = ("hmasd", "mappo", "mat", "maser", "eiti", "edti")
-INFLUENCE = ("eiti", "edti")
-"""Systems that the paper has in Overcooked only."""
-ABLATIONS = ("noteam", "noindi", "nohigh", "noexrew", "noinrew")
-SKILL_VALUES = ((5, 10, 50), (2, 4, 5), (2, 4, 5))
-"""Values of Fig. 10 for each setting of `SKILLS`, beside those of the preset of 3m."""
+"""Systems of the table, in its order."""
 
 
 class Cell(NamedTuple):
@@ -54,30 +46,31 @@ class Cell(NamedTuple):
         ]
         return " ".join(words)
 
-    def record(self) -> dict[str, Any] | None:
-        """Return the record, or None if there is none."""
-        path = RESULTS / self.task / f"{self.name}.json"
-        return json.loads(path.read_text()) if path.exists() else None
-
     def missing(self) -> list[int]:
         """Return the seeds that are not recorded with the settings of today."""
-        record = self.record()
-        if record is None or changed_settings(record, self.overrides):
-            return list(range(self.seeds))
-        return [seed for seed in range(self.seeds) if seed not in recorded_seeds(record)]
+        record = find_record(self.task, self.name)
+        is_of_today = record is not None and not changed_settings(record, self.overrides)
+        recorded = recorded_seeds(record) if is_of_today else []
+        return [seed for seed in range(self.seeds) if seed not in recorded]
+
+
+def find_record(task: str, name: str) -> dict[str, Any] | None:
+    """Return a record, or None if there is none."""
+    path = RESULTS / task / f"{name}.json"
+    return json.loads(path.read_text()) if path.exists() else None
 
 
 def cells() -> Iterator[Cell]:
-    """Yield all cells."""
-    for task, system in product(TASKS, SYSTEMS):
-        if system not in INFLUENCE or task.startswith("overcooked"):
-            yield Cell(task, system, system, seeds_of(task, system), {})
-    for name in ABLATIONS:
-        yield Cell("micro_battle/3m", name, name, 5, {})
-    for name, values in zip(SKILLS, SKILL_VALUES):
-        for value in values:
-            overrides = {f"algorithm.{name}": value}
-            yield Cell("micro_battle/3m", f"hmasd_{name}_{value}", "hmasd", 5, overrides)
+    """Yield a cell for each number of the paper.
+
+    A number of Fig. 10 is named after the setting that differs from the preset, and its value.
+    """
+    for task, about in TASKS.items():
+        for name in about.paper:
+            preset, _, changed = name.partition("_")
+            setting, _, value = changed.rpartition("_")
+            overrides = {f"algorithm.{setting}": int(value)} if changed else {}
+            yield Cell(task, name, preset, seeds_of(task, name), overrides)
 
 
 def seeds_of(task: str, system: str) -> int:
@@ -107,11 +100,10 @@ def shown(task: str, system: str) -> str:
     paper = TASKS[task].paper.get(system)
     if paper is None:
         return ""
-    record = Cell(task, system, system, 0, {}).record()
+    record = find_record(task, system)
     if record is None:
         return f"not run<br>{paper}"
-    scale = 100 if record["metric"] == "success" else 1
-    final = summarize(scale * last_evaluations(record["values"], LAST), TASKS[task].bar)
+    final = summarize_record(record, TASKS[task])
     mark = " *" if changed_settings(record) else ""
     seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}"
     return f"{final['mean']:.1f} ± {final['std']:.1f} ({seeds}){mark}<br>{paper}"

@@ -1,8 +1,10 @@
 """The paper's tasks and numbers: text, Table 4 and, where neither says it, Figs. 5 to 8 and 10."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hmasd_jax.analysis.curves import Reference
+from hmasd_jax.analysis.learning import LAST
+from hmasd_jax.analysis.statistics import Summary, last_evaluations, summarize
 
 
 class Task(NamedTuple):
@@ -87,3 +89,9 @@ TASKS = {
     ),
     "micro_battle/2m_vs_1z": Task({"hmasd": "40 ± 49", "mappo": "0", "mat": "0", "maser": "0"}, 80),
 }
+
+
+def summarize_record(record: dict[str, Any], task: Task) -> Summary:
+    """Summarize the last evaluations of a record, in the units of its task."""
+    scale = 100 if record["metric"] == "success" else 1
+    return summarize(scale * last_evaluations(record["values"], LAST), solved_at=task.bar)

@@ -16,9 +16,8 @@ from typing import Any
 
 from hmasd_jax.analysis.curves import plot_result
 from hmasd_jax.analysis.learning import LAST
-from hmasd_jax.analysis.statistics import last_evaluations, summarize
 from scripts import comparison
-from scripts.paper import TASKS, Task
+from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
@@ -74,8 +73,7 @@ def algorithm_of(path: Path) -> str:
 
 def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     """Format the line of the table for a run `kept` in the file `path`."""
-    scale = 100 if kept["metric"] == "success" else 1
-    final = summarize(scale * last_evaluations(kept["values"], LAST), solved_at=task.bar)
+    final = summarize_record(kept, task)
     low, high = final["interval"]
     mark = " *" if changed_settings(kept) else ""
     cells = [

@@ -13,6 +13,8 @@ from hmasd_jax.runs import metrics_log
 
 NUM_PARTS = 10
 """Equal parts of a run over which training metrics are averaged."""
+PER_SEED = ("values", "training_means", "wall_seconds")
+"""Entries of a record with one item per seed."""
 NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
 """Entries of a training record that are not metrics to average."""
 
@@ -75,12 +77,9 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
             raise ValueError(
                 f"{run} was not evaluated at the steps of {runs[0]}: finish both with --resume"
             )
-        for name in ("values", "training_means", "wall_seconds"):
-            joined[name] = joined[name] + other[name]
-    seeds = ",".join(str(seed) for run in runs for seed in run_folder.seeds_of(run))
-    steps = first["config"]["total_env_steps"]
-    command = f"{command} --total-env-steps {steps} --seed-index I for I = {seeds}"
-    return joined | {"command": command}
+        joined |= _join(joined, other)
+    seeds = [seed for run in runs for seed in run_folder.seeds_of(run)]
+    return joined | {"command": _name_seeds(command, first, seeds)}
 
 
 def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
@@ -102,16 +101,23 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
     twice = sorted(set(seeds[0]) & set(seeds[1]))
     if twice:
         raise ValueError(f"seed {twice[0]} is in the record already")
-    numbers = ",".join(map(str, [*seeds[0], *seeds[1]]))
-    steps = new["config"]["total_env_steps"]
-    joined = {
+    return {
         **earlier,
-        "command": f"{command} --total-env-steps {steps} --seed-index I for I = {numbers}",
-        "commits": [commit for record in (earlier, new) for commit in commits_of(record)],
+        **_join(earlier, new),
+        "command": _name_seeds(command, new, [*seeds[0], *seeds[1]]),
+        "commits": commits_of(earlier) + commits_of(new),
     }
-    for name in ("values", "training_means", "wall_seconds"):
-        joined[name] = earlier[name] + new[name]
-    return joined
+
+
+def _join(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    """Put what `second` has of each seed behind that of `first`."""
+    return {name: first[name] + second[name] for name in PER_SEED}
+
+
+def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:
+    """Return the command of several runs, with the steps of `record`."""
+    steps, numbers = record["config"]["total_env_steps"], ",".join(map(str, seeds))
+    return f"{command} --total-env-steps {steps} --seed-index I for I = {numbers}"
 
 
 def commits_of(record: dict[str, Any]) -> list[str]:

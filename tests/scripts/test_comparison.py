@@ -39,7 +39,7 @@ def test_seeds_with_the_settings_of_today_count(monkeypatch):
     assert cell.missing() == [10, 11]
     record = json.loads((RESULTS / "alice_and_bob/mappo.json").read_text())
     record["command"] = "train --config configs/alice_and_bob/mappo.toml for I = 0,3"
-    monkeypatch.setattr(Cell, "record", lambda _: record)
+    monkeypatch.setattr(comparison, "find_record", lambda *_: record)
     assert cell.missing() == [1, 2, *range(4, 12)]
     record["config"]["algorithm"]["entropy_coef"] = 0.5
     assert cell.missing() == list(range(12))
@@ -48,7 +48,7 @@ def test_seeds_with_the_settings_of_today_count(monkeypatch):
 
 
 def test_a_cell_that_was_not_run_says_so(monkeypatch):
-    monkeypatch.setattr(Cell, "record", lambda _: None)
+    monkeypatch.setattr(comparison, "find_record", lambda *_: None)
     assert comparison.shown("micro_battle/3m", "maser") == "not run<br>62"
     assert comparison.shown("micro_battle/3m", "eiti") == ""
 
