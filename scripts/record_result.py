@@ -21,7 +21,7 @@ from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
-from scripts.run_records import add_seeds, commits_of, record_together
+from scripts.run_records import add_seeds, of_each_seed, record_together
 
 PAGE = ROOT / "docs" / "results.md"
 
@@ -84,7 +84,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
-        ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(commits_of(kept))),
+        ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(of_each_seed(kept, "commit"))),
         f"{sum(kept['wall_seconds']) / 60:.0f}",
     ]
     return f"| {' | '.join(cells)} |"

@@ -85,7 +85,8 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
 def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
     """Return a record with the seeds of `runs` behind those of `earlier`.
 
-    The runs may be of a later commit. The record then has `commits`, one per seed.
+    The runs may be of a later commit and of another processor, which rounds differently. The record
+    has `commits` and `cpus`, one per seed.
 
     Raises:
         ValueError: a run cannot be recorded, has another command or other evaluations than
@@ -105,7 +106,10 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
         **earlier,
         **_join(earlier, new),
         "command": _name_seeds(command, new, [*seeds[0], *seeds[1]]),
-        "commits": commits_of(earlier) + commits_of(new),
+        **{
+            f"{name}s": of_each_seed(earlier, name) + of_each_seed(new, name)
+            for name in ("commit", "cpu")
+        },
     }
 
 
@@ -120,9 +124,9 @@ def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:
     return f"{command} --total-env-steps {steps} --seed-index I for I = {numbers}"
 
 
-def commits_of(record: dict[str, Any]) -> list[str]:
-    """Return the commit of each seed of a record."""
-    return record.get("commits") or [record["commit"]] * len(record["values"])
+def of_each_seed(record: dict[str, Any], name: str) -> list[Any]:
+    """Return the commit or the processor (`name`) of each seed of a record."""
+    return record.get(f"{name}s") or [record.get(name)] * len(record["values"])
 
 
 def recorded_seeds(record: dict[str, Any]) -> list[int]:

@@ -125,10 +125,11 @@ def test_runs_that_ended_at_different_steps_are_not_recorded_as_one(seed_runs):
 def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
     first = run_records.record_together(seed_runs[:1])
     about = json.loads((seed_runs[1] / "run.json").read_text())
-    (seed_runs[1] / "run.json").write_text(json.dumps(about | {"commit": "def"}))
+    (seed_runs[1] / "run.json").write_text(json.dumps(about | {"commit": "def", "cpu": "new"}))
     both = run_records.add_seeds(first, seed_runs[1:])
     assert both["command"] == "python x --seed 3 --total-env-steps 8 --seed-index I for I = 0,1"
     assert both["commits"] == ["abc", "def"]
+    assert both["cpus"] == [None, "new"]
     assert both["values"] == [[0.0, 0.5, 0.5, 1.0], [0.0, 0.0, 0.25, 0.5]]
     assert (len(both["training_means"]), len(both["wall_seconds"])) == (2, 2)
     with pytest.raises(ValueError, match="seed 1 is in the record already"):
