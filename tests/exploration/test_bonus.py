@@ -1,7 +1,6 @@
 """The sum of two exploration bonuses."""
 
 from dataclasses import replace
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +11,6 @@ import envs_jax
 from hmasd_jax.baselines.mappo import MAPPOConfig
 from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, add
-from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.rl.ppo import PPOConfig
 from tests.helpers.rollouts import outcome_of
 
@@ -41,11 +39,10 @@ def test_the_sum_pays_both_and_updates_each_on_its_own_state():
     assert_allclose(reward, 10.0)
 
 
-@pytest.mark.parametrize("factor", ["entropy_weight", "step_scale"])
-def test_a_factor_is_that_of_the_bonus_that_has_one(factor):
-    counting = constant(3.0, "b")._replace(**{factor: lambda count: count / 4})
+def test_the_weight_of_the_entropy_is_that_of_the_bonus_that_has_one():
+    counting = constant(3.0, "b")._replace(entropy_weight=lambda count: count / 4)
     for both, expected in [(add(constant(2.0, "a"), counting), 0.25), (NO_BONUS, 1.0)]:
-        assert getattr(both, factor)(both.init(jax.random.key(0))) == expected
+        assert both.entropy_weight(both.init(jax.random.key(0))) == expected
 
 
 @pytest.mark.parametrize(("weight", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
@@ -61,24 +58,6 @@ def test_the_entropy_of_mappo_is_weighted_by_the_bonus(weight, entropy_coef):
     fading = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda _: weight))
     fixed = replace(parts, config=replace(parts.config, entropy_coef=entropy_coef))
     jax.tree.map(assert_array_equal, params_after(fading), params_after(fixed))
-
-
-def test_the_steps_of_mappo_are_scaled_by_the_bonus():
-    env = envs_jax.make("probe_match_cue")
-    ppo = PPOConfig(num_envs=4, rollout_length=10, num_epochs=2, hidden_size=8, learning_rate=0.5)
-    imitation = ImitationConfig(coef=1.0, steps=1, capacity=4, inserts=4)
-    config = MAPPOConfig(imitation=imitation, ppo=ppo)
-    parts = mappo.make_parts(env, config)
-    state = mappo.init_state(parts, jax.random.key(0))
-
-    def train(parts):
-        after, metrics = jax.jit(partial(mappo.train_iteration, parts))(state)
-        assert metrics["exploration/imitation_loss"] > 0
-        return after.learner.params
-
-    scaled = replace(parts, bonus=parts.bonus._replace(step_scale=lambda _: 0.25))
-    slower = mappo.make_parts(env, replace(config, ppo=replace(ppo, learning_rate=0.125)))
-    jax.tree.map(assert_array_equal, train(scaled), train(slower))
 
 
 @pytest.mark.parametrize("other", [constant(2.0, "a"), NO_BONUS])

@@ -114,10 +114,10 @@ def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_ch
     learner,
 ):
     empty = PARTS.imitation.init()
-    same, _ = jax.jit(PARTS.imitation.train)(empty, learner, 1.0)
+    same, _ = jax.jit(PARTS.imitation.train)(empty, learner)
     jax.tree.map(np.testing.assert_array_equal, same, learner)
     store, _ = insert(empty, _batch(2, 3), jnp.ones((2, 2)), 2, jax.random.key(0))
-    trained, _ = jax.jit(PARTS.imitation.train)(store, learner, 1.0)
+    trained, _ = jax.jit(PARTS.imitation.train)(store, learner)
     before, after = (imitation_loss(x.params, PARTS.networks, store) for x in (learner, trained))
     assert after < before - 1e-3
     jax.tree.map(np.testing.assert_array_equal, trained.params["critic"], learner.params["critic"])
@@ -149,7 +149,7 @@ def test_a_rollout_stores_at_most_what_the_buffer_holds():
 def test_without_a_weight_nothing_is_stored():
     parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
     assert parts.imitation is NO_IMITATION
-    assert parts.imitation.train((), Learner(1, 2), 0.5) == (Learner(1, 2), {})
+    assert parts.imitation.train((), Learner(1, 2)) == (Learner(1, 2), {})
 
 
 def test_the_first_copies_of_mappo_act_greedily_and_the_others_sample():

@@ -6,9 +6,8 @@ import numpy as np
 import optax
 from numpy.testing import assert_allclose
 
-from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.rl.sgd import gradient_step, make_optimizer, scale_steps, sgd_epochs
+from hmasd_jax.rl.sgd import gradient_step, make_optimizer, sgd_epochs
 from hmasd_jax.types import Learner
 
 
@@ -72,22 +71,6 @@ def test_adam_steps_by_hand():
         learner, _ = gradient_step(learner, optimizer, _linear_loss, {"net": jnp.array([gradient])})
         expected -= 0.1 * m / (np.sqrt(v) + 1e-5)
         assert_allclose(learner.params["net"], [expected], rtol=1e-5)
-
-
-def test_scaled_steps_are_shorter_and_the_average_follows_them():
-    optimizer = make_optimizer(PPOConfig(learning_rate=0.1, average_updates=1), ["net"])
-    params = {"net": jnp.zeros(2)}
-    learner = Learner(params, optimizer.init(params))
-
-    def step(optimizer):
-        return gradient_step(learner, optimizer, _linear_loss, {"net": jnp.array([2.0, -3.0])})[0]
-
-    whole, quarter = step(optimizer), step(scale_steps(optimizer, jnp.float32(0.25)))
-    assert_allclose(whole.params["net"], [-0.1, 0.1], rtol=1e-4)
-    np.testing.assert_array_equal(quarter.params["net"], 0.25 * whole.params["net"])
-    assert_allclose(averaged_params(quarter)["net"], quarter.params["net"], rtol=1e-6)
-    np.testing.assert_array_equal(_first_moment(quarter, "net"), _first_moment(whole, "net"))
-    assert scale_steps(optimizer, 1.0) is optimizer
 
 
 def test_adam_epsilon_is_added_outside_the_root():

@@ -11,8 +11,8 @@ from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
-def unchanged(bonus_state: Any) -> float:
-    """Return 1, for a bonus that leaves entropy and step sizes as they are."""
+def full_entropy(bonus_state: Any) -> float:
+    """Return 1, for a bonus that leaves the entropy of actions as it is."""
     del bonus_state
     return 1.0
 
@@ -25,11 +25,9 @@ class Bonus(NamedTuple):
     update: Callable[[Any, TimeStep, Key], tuple[Any, Float[Array, "T E"], Metrics]]
     """`update(bonus_state, outcome, key)`: the next state, the weighted bonus for each state that a
     rollout reached, and metrics. `outcome` is (T, E), before any reset."""
-    entropy_weight: Callable[[Any], float | Float[Array, ""]] = unchanged
+    entropy_weight: Callable[[Any], float | Float[Array, ""]] = full_entropy
     """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
     explores, too."""
-    step_scale: Callable[[Any], float | Float[Array, ""]] = unchanged
-    """`step_scale(bonus_state)`: factor of the step sizes of what acts and of its critics."""
 
 
 NO_BONUS = Bonus(
@@ -58,7 +56,4 @@ def add(first: Bonus, second: Bonus) -> Bonus:
     def entropy_weight(pair):
         return first.entropy_weight(pair[0]) * second.entropy_weight(pair[1])
 
-    def step_scale(pair):
-        return first.step_scale(pair[0]) * second.step_scale(pair[1])
-
-    return Bonus(init, update, entropy_weight, step_scale)
+    return Bonus(init, update, entropy_weight)

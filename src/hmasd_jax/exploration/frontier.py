@@ -26,9 +26,6 @@ earnings do not drown the bonus, it grows with the largest mean return of an epi
 
 The entropy of actions, which also explores, can be weighted by the share of episodes that no reward
 ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
-
-Step sizes can fall with that share, too. Normalized advantages have no scale: where every episode
-succeeds they are noise, and Adam follows noise in steps of full length.
 """
 
 from dataclasses import dataclass
@@ -39,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, unchanged
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, full_entropy
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
@@ -62,21 +59,14 @@ class FrontierConfig:
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
     fade_entropy: bool = False
-    """If True, weight the entropy of actions by the share of recent episodes that no reward ended,
-    to the power `fade_power`."""
-    fade_power: float = 1.0
-    """Power of that share in the weight of the entropy."""
-    step_size_floor: float = 1.0
-    """Smallest factor of the step sizes of policies and critics. They are multiplied by the share
-    of recent episodes that no reward ended, or by this if it is larger. With 1 they stay as they
-    are."""
+    """If True, weight the entropy of actions by the share of recent episodes that no reward
+    ended."""
 
     def __post_init__(self) -> None:
         check_range(self, "coef", "largest_worth", low=0)
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
-        check_range(self, "fade_power", low=0)
-        check_range(self, "forgetting", "step_size_floor", low=0, high=1)
+        check_range(self, "forgetting", low=0, high=1)
 
 
 class Frontier(NamedTuple):
@@ -141,21 +131,9 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         all_fail = unsolved(frontier) ** num_envs
         unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
-        metrics = {"frontier": bonus.mean(), "unsolved": unsolved(frontier)}
-        return frontier._replace(bonuses=seen), reward, metrics
+        return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    def entropy_weight(frontier: Frontier):
-        return unsolved(frontier) ** config.fade_power
-
-    def step_scale(frontier: Frontier):
-        return jnp.maximum(unsolved(frontier), config.step_size_floor)
-
-    return Bonus(
-        init,
-        update,
-        entropy_weight if config.fade_entropy else unchanged,
-        step_scale if config.step_size_floor < 1 else unchanged,
-    )
+    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:

@@ -26,7 +26,7 @@ from envs_jax import Environment
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.rollout import cut
-from hmasd_jax.rl.sgd import gradient_step, scale_steps
+from hmasd_jax.rl.sgd import gradient_step
 from hmasd_jax.types import Key, Learner, Metrics, Transition
 from hmasd_jax.validation import check_range
 
@@ -98,9 +98,8 @@ class Imitation(NamedTuple):
     """`init()`: empty buffer."""
     store: Callable[[Any, SequenceBatch, Transition, Key], tuple[Any, Metrics]]
     """`store(successes, batch, transitions, key)`: keep the successes of a rollout."""
-    train: Callable[[Any, Learner, float | Float[Array, ""]], tuple[Learner, Metrics]]
-    """`train(successes, learner, step_scale)`: take gradient steps towards what is stored, of
-    `step_scale` times their usual length."""
+    train: Callable[[Any, Learner], tuple[Learner, Metrics]]
+    """`train(successes, learner)`: take gradient steps towards what is stored."""
 
 
 def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, " E"]:
@@ -160,7 +159,7 @@ def normalize_and_blame(
 NO_IMITATION = Imitation(
     init=lambda: (),
     store=lambda successes, batch, transitions, key: (successes, {}),
-    train=lambda successes, learner, step_scale: (learner, {}),
+    train=lambda successes, learner: (learner, {}),
 )
 
 
@@ -195,11 +194,9 @@ def make_imitation(
         )
         return insert(successes, batch, weight, config.inserts, key)
 
-    def train(successes: Successes, learner: Learner, step_scale: float | Float[Array, ""]):
-        scaled = scale_steps(optimizer, step_scale)
-
+    def train(successes: Successes, learner: Learner):
         def step(learner, _):
-            return gradient_step(learner, scaled, loss, successes)
+            return gradient_step(learner, optimizer, loss, successes)
 
         def steps(learner):
             learner, metrics = jax.lax.scan(step, learner, None, length=config.steps)

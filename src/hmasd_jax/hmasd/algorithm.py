@@ -31,7 +31,7 @@ from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.keys import key_beside
-from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, scale_steps, sgd_epochs
+from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 
@@ -193,10 +193,10 @@ def train_coordinator(
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config)
 
-    optimizer = scale_steps(parts.coordinator_optimizer, parts.bonus.step_scale(state.bonus))
     return ppo_epochs(
-        optimizer, loss_fn, state.coordinator, state.coordinator_norm, batch, key, parts.config.ppo
-    )
+        parts.coordinator_optimizer, loss_fn, state.coordinator, state.coordinator_norm,
+        batch, key, parts.config.ppo,
+    )  # fmt: skip
 
 
 def train_discoverer(
@@ -208,10 +208,10 @@ def train_discoverer(
     def loss_fn(params, norm, batch):
         return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)
 
-    optimizer = scale_steps(parts.discoverer_optimizer, parts.bonus.step_scale(state.bonus))
     return ppo_epochs(
-        optimizer, loss_fn, state.discoverer, state.discoverer_norm, batch, key, parts.config.ppo
-    )
+        parts.discoverer_optimizer, loss_fn, state.discoverer, state.discoverer_norm,
+        batch, key, parts.config.ppo,
+    )  # fmt: skip
 
 
 def train_discriminators(
@@ -257,8 +257,6 @@ def train_exploration(
     successes, store_metrics = parts.imitation.store(
         state.successes, batch, rollout.transitions, key_store
     )
-    discoverer, imitation_metrics = parts.imitation.train(
-        successes, discoverer, parts.bonus.step_scale(state.bonus)
-    )
+    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
     fields = {"distance": distance, "successes": successes}
     return discoverer, fields, distance_metrics | store_metrics | imitation_metrics

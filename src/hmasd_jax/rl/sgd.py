@@ -1,7 +1,6 @@
 """Gradient steps, and epochs of shuffled minibatches."""
 
 from collections.abc import Callable, Hashable, Sequence
-from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -37,39 +36,13 @@ def make_optimizer(
         step_size = optax.linear_schedule(
             config.learning_rate, 0.0, config.decay_updates * per_update
         )
-    adam = scalable(optax.adam(step_size, eps=config.adam_epsilon))
-    steps = [clip_by_norm(config.max_grad_norm), adam]
+    steps = [clip_by_norm(config.max_grad_norm), optax.adam(step_size, eps=config.adam_epsilon)]
     if config.average_updates:
         steps.append(track_average(1.0 - 1.0 / (config.average_updates * per_update)))
     # One vector per network: XLA compiles and launches a quarter fewer kernels.
     each = optax.flatten(optax.chain(*steps))
     transforms: dict[Hashable, optax.GradientTransformation] = dict.fromkeys(networks, each)
     return optax.partition(transforms, {name: name for name in networks})
-
-
-def scalable(inner: optax.GradientTransformation) -> optax.GradientTransformationExtraArgs:
-    """Let `update` take `step_scale`, by which it multiplies the steps of `inner`."""
-
-    def update(updates, state, params=None, *, step_scale=1.0, **others):
-        del others
-        updates, state = inner.update(updates, state, params)
-        return jax.tree.map(lambda step: step_scale * step, updates), state
-
-    return optax.GradientTransformationExtraArgs(inner.init, update)
-
-
-def scale_steps(
-    optimizer: optax.GradientTransformation, step_scale: float | Float[Array, ""]
-) -> optax.GradientTransformation:
-    """Return an optimizer of `make_optimizer` whose steps are `step_scale` times as long.
-
-    Adam's steps do not depend on the scale of a loss, so a weight of the loss does not shorten
-    them. The state of the optimizer stays the same.
-    """
-    if isinstance(step_scale, float) and step_scale == 1.0:
-        return optimizer
-    update = optax.with_extra_args_support(optimizer).update
-    return optax.GradientTransformation(optimizer.init, partial(update, step_scale=step_scale))
 
 
 def clip_by_norm(max_norm: float) -> optax.GradientTransformation:
