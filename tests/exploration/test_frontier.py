@@ -27,9 +27,13 @@ NUM_ENVS = 4
 CONFIG = FrontierConfig(coef=0.5, num_bins=4, window=10, forgetting=0.0)
 
 
-@pytest.fixture
+reach = jax.jit(lambda frontier, outcome: explore(frontier, outcome, CONFIG))
+
+
+@pytest.fixture(scope="module")
 def bonus():
-    return make_frontier(ENV, CONFIG, NUM_ENVS)
+    pure = make_frontier(ENV, CONFIG, NUM_ENVS)
+    return pure._replace(update=jax.jit(pure.update))
 
 
 @pytest.fixture
@@ -84,9 +88,9 @@ def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus,
     outcome = rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False)
     outcome = outcome._replace(terminated=outcome.terminated.at[1].set(True))
     wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 4.0))
-    frontier, is_first = explore(wide, outcome, CONFIG)
+    frontier, is_first = reach(wide, outcome)
     assert not is_first[2].any()
-    _, is_first = explore(frontier, rollout_of(*[[4.0]] * 4), CONFIG)
+    _, is_first = reach(frontier, rollout_of(*[[4.0]] * 4))
     assert_array_equal(is_first[0, 0, RISES, 0], [False, True, True, True])
     assert not is_first[:, :, FALLS].any()
 
@@ -94,23 +98,23 @@ def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus,
 def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
     """To 4 and back; in the next rollout there again, which pays nothing."""
     frontier, _ = train(bonus, empty, rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False))
-    frontier, is_first = explore(frontier, rollout_of(*[[4.0, 0.0]] * 4), CONFIG)
+    frontier, is_first = reach(frontier, rollout_of(*[[4.0, 0.0]] * 4))
     assert not is_first.any()
-    _, is_first = explore(frontier, rollout_of(*[[0.0, 4.0]] * 4), CONFIG)
+    _, is_first = reach(frontier, rollout_of(*[[0.0, 4.0]] * 4))
     assert_array_equal(is_first[1, 0, RISES, 0], [False, True, True, True])
 
 
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
-    frontier, _ = explore(empty._replace(episodes=jnp.float32(0)), outcome, CONFIG)
+    frontier, _ = reach(empty._replace(episodes=jnp.float32(0)), outcome)
     assert_allclose(frontier.mastered[RISES, 0], [0.0, 0.25, 0.25, 0.25])
     assert_allclose(frontier.mastered[FALLS], 0.0)
 
 
 def test_the_share_is_an_average_over_the_window(empty):
     outcome = rollout_of(*[[0.0, 4.0]] * 4)
-    frontier, _ = explore(empty, outcome, CONFIG)
+    frontier, _ = reach(empty, outcome)
     assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
     assert_allclose(frontier.reached[RISES, 0], [0, 4, 4, 4])
     assert_allclose(frontier.mastered[RISES, 0, 1], 4 / 7.6, rtol=1e-6)

@@ -31,16 +31,15 @@ def _config(learning_rate=3e-3, **fields):
 def _train(env, config, obedient=False):
     """Metrics of 100 updates. Obedient agents do not learn: skill z means action z, always."""
     algorithm = make_hmasd(env, config)
+    state = jax.jit(algorithm.init)(jax.random.key(0))
 
     def update(state, _):
         if obedient:
             state = state._replace(discoverer=_obey(state.discoverer))
         return algorithm.update(state)
 
-    def run(key):
-        return jax.lax.scan(update, algorithm.init(key), None, 100)[1]
-
-    return jax.tree.map(np.asarray, jax.jit(run)(jax.random.key(0)))
+    run = jax.jit(lambda state: jax.lax.scan(update, state, None, 100)[1])
+    return jax.tree.map(np.asarray, run(state))
 
 
 def _obey(discoverer):
@@ -55,6 +54,7 @@ def _obey(discoverer):
 def test_the_discoverer_learns_to_remember_a_cue_from_the_team_reward():
     # One step of five is paid: 1/5 a step, without a memory across steps 1/10.
     config = _config(
+        coordinator="random",
         skill_interval=5,
         extrinsic_coef=1.0,
         team_intrinsic_coef=0.0,
@@ -87,14 +87,14 @@ def test_a_fixed_discriminator_pulls_skills_apart(monkeypatch):
         return jnp.zeros(match.shape[:-1]), log_q, {"match": match.mean()}
 
     monkeypatch.setattr(algorithm_module, "log_q_of_skills", log_q_by_hand)
-    metrics = _train(HiddenCue(), _config())
+    metrics = _train(HiddenCue(), _config(coordinator="random"))
     match = metrics["discriminators/match"]
     assert 0.4 < match[0] < 0.6
     assert match[-5:].mean() > 0.9
 
 
 def test_discriminators_and_discoverer_agree_on_skills_from_nothing():
-    metrics = _train(HiddenCue(), _config())
+    metrics = _train(HiddenCue(), _config(coordinator="random"))
     accuracy = metrics["discriminators/individual_accuracy"]
     assert accuracy[0] < 0.65
     assert accuracy[-5:].mean() > 0.85

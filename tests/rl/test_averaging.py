@@ -76,13 +76,17 @@ ALGORITHMS = {
 }  # fmt: skip
 
 
-def actions_of(algorithm, state):
-    """Return the actions that 64 copies of the start of an episode draw."""
-    policy = algorithm.policy(state, greedy=False)
-    keys = jax.random.split(jax.random.key(1), 64)
-    _, timestep = jax.vmap(ENV.reset)(keys)
-    first = jnp.ones(64, bool)
-    return policy.step(policy.init((64,)), timestep, first, jax.random.key(2))[1]
+def acting(algorithm):
+    """Build a function of the state: actions that 64 copies of the start of an episode draw."""
+
+    def act(state):
+        policy = algorithm.policy(state, greedy=False)
+        keys = jax.random.split(jax.random.key(1), 64)
+        _, timestep = jax.vmap(ENV.reset)(keys)
+        first = jnp.ones(64, bool)
+        return policy.step(policy.init((64,)), timestep, first, jax.random.key(2))[1]
+
+    return jax.jit(act)
 
 
 @pytest.mark.parametrize("updates", [0, 4])
@@ -102,5 +106,6 @@ def test_a_policy_acts_by_the_average_where_there_is_one(name, updates):
         )
 
     changed = state._replace(**{field: replace(getattr(state, field)) for field in learners})
-    is_same = (actions_of(algorithm, state) == actions_of(algorithm, changed)).all()
+    actions_of = acting(algorithm)
+    is_same = (actions_of(state) == actions_of(changed)).all()
     assert is_same == (updates > 0)
