@@ -8,6 +8,7 @@ follow, each computed alone. GFLOP count matrix products only.
 """
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -61,15 +62,15 @@ def hmasd_parts(config: configs.TrainConfig) -> Iterator[tuple[str, Callable, tu
     phases = {
         "coordinator": (
             hmasd.train_coordinator,
-            high_batch(parts, networks[0], state.coordinator_norm, data, key),
+            jax.jit(partial(high_batch, parts))(networks[0], state.coordinator_norm, data, key),
         ),
         "discoverer": (
             hmasd.train_discoverer,
-            low_batch(parts, networks[1], state.discoverer_norm, data, reward),
+            jax.jit(partial(low_batch, parts))(networks[1], state.discoverer_norm, data, reward),
         ),
         "discriminators": (
             hmasd.train_discriminators,
-            rollouts.flatten(skill_pairs(parts, data)),
+            jax.jit(lambda data: rollouts.flatten(skill_pairs(parts, data)))(data),
         ),
     }
     for name, (train, batch) in phases.items():

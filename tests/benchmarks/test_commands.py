@@ -76,7 +76,8 @@ def test_training_is_split_into_its_parts(run_here):
 
 
 def test_seeds_in_every_placement():
-    rows = run("seeds.py", "--seeds", "2", "--placement", "workers", "sharded")
+    words = ("--algorithm", "mappo", "--seeds", "2", "--placement", "workers", "sharded")
+    rows = run("seeds.py", *words)
     assert [(row["placement"], row["seeds"]) for row in rows] == [("workers", 2), ("sharded", 2)]
 
 

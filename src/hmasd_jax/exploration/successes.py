@@ -89,7 +89,7 @@ class Successes(NamedTuple):
     """Memory of the actor before each sequence."""
     steps: StoredSteps
     weight: Float[Array, "C L"]
-    """What `better_than_usual` returned for each step; 0 in an empty slot."""
+    """Weight of each step, from `better_than_usual`; 0 in an empty slot."""
     next_slot: Int[Array, ""]
 
 
