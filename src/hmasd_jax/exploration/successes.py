@@ -251,11 +251,10 @@ def reward_to_come(
 def better_than_usual(
     to_come: Float[Array, "T E"], greedy: bool | Bool[Array, " E"]
 ) -> Float[Array, "T E"]:
-    """Return how much more reward follows than usual: 1 for the most, 0 for no more than usual.
+    """Return how much more reward follows than usual, at most 1; 0 for no more than usual.
 
-    Usual is the mean of the copies that sample, at the same step of the rollout. Differences below
-    a thousandth of the largest reward that follows are not scaled up to 1: they may be rounding. A
-    copy alone is never better than usual.
+    Usual is the mean of the copies that sample, at the same step of the rollout. The unit is the
+    largest reward that follows any step of the rollout. A copy alone is never better than usual.
 
     Args:
         to_come: discounted rewards that follow. Negative ones count as none.
@@ -263,8 +262,7 @@ def better_than_usual(
     """
     to_come = jnp.maximum(to_come, 0.0)
     usual = to_come.mean(axis=1, keepdims=True, where=jnp.logical_not(greedy))
-    above = jnp.maximum(to_come - usual, 0.0)
-    return above / jnp.maximum(above.max(), 1e-3 * to_come.max() + 1e-6)
+    return jnp.maximum(to_come - usual, 0.0) / jnp.maximum(to_come.max(), 1e-6)
 
 
 def insert(
