@@ -2,10 +2,10 @@
 
 A ring buffer keeps sequences that led to more reward than usual. After each update of PPO the actor
 takes a few gradient steps towards the stored actions. They are weighted by how much more discounted
-reward followed than follows in the mean of the copies that sample, so that what the team does anyway
-is not imitated. Oh et al. compare with the critic's value, which here contains bonuses and rewards
-for skills, too. The weights are averaged over the whole buffer, so that one lucky rollout in an empty
-buffer pulls little.
+reward followed than follows in the mean of the copies that sample. What the team does anyway is
+therefore not imitated. Oh et al. compare with the critic's value, which here contains bonuses and
+rewards for skills, too. The weights are averaged over the whole buffer, so that one lucky rollout
+in an empty buffer pulls little.
 
 A team that has just learned to win often does so greedily long before it does by chance: one action
 at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
