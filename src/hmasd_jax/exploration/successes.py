@@ -6,13 +6,6 @@ reward followed than follows in the mean of the copies that sample. What the tea
 therefore not imitated. Oh et al. compare with the critic's value, which here contains bonuses and
 rewards for skills, too. The weights are averaged over the whole buffer, so that one lucky rollout
 in an empty buffer pulls little.
-
-A team that has just learned to win often does so greedily long before it does by chance: one action
-at random loses a battle that takes a hundred right ones. A few copies of the environment therefore
-may act greedily, so that there are successes to imitate. The policy gradient takes from them only
-what goes wrong although teams that sample succeed. Their better actions would make what is likely
-likelier still. Without the worse ones, greedy play could wait for ever, and a team that samples
-would never know.
 """
 
 from collections.abc import Callable
@@ -25,6 +18,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
+from hmasd_jax.exploration.greedy_copies import mark_greedy
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.rollout import cut
@@ -48,7 +42,7 @@ class ImitationConfig:
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
     the buffer and train the critics. The policy gradient takes only their worst actions, once play
-    that samples succeeds (`blame_greedy`)."""
+    that samples succeeds (`greedy_copies.blame_greedy`)."""
 
     @property
     def steps_per_update(self) -> int:
@@ -104,60 +98,6 @@ class Imitation(NamedTuple):
     """`train(successes, learner)`: take gradient steps towards what is stored."""
 
 
-def greedy_copies(config: ImitationConfig, num_envs: int) -> bool | Bool[Array, " E"]:
-    """Mark the copies that act greedily; False if there is none."""
-    return jnp.arange(num_envs) < config.greedy_copies if config.greedy_copies else False
-
-
-def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
-    """Return `greedy` with an axis for the agents."""
-    return greedy if isinstance(greedy, bool) else greedy[:, None]
-
-
-def without_greedy(
-    chosen: Bool[Array, "T E *rest"], greedy: bool | Bool[Array, "E *#rest"]
-) -> Bool[Array, "T E *rest"]:
-    """Leave out the copies that act greedily."""
-    return chosen if greedy is False else chosen & ~greedy
-
-
-def blame_greedy(
-    advantage: Float[Array, "T E N"],
-    greedy: bool | Bool[Array, " E"],
-    reward: Float[Array, "T E"],
-) -> Float[Array, "T E N"]:
-    """Replace normalized advantages A of copies that act greedily by w min(A + 1, 0).
-
-    A greedy action that is more than one deviation worse than the mean is made less likely, and
-    none is made likelier. The weight w is the share of the other copies that the environment
-    rewarded in the rollout: where sampled play hardly succeeds, greedy play is not to blame.
-    """
-    if greedy is False:
-        return advantage
-    weight = (reward > 0).any(axis=0).mean(where=~greedy)
-    return jnp.where(per_agent(greedy), weight * jnp.minimum(advantage + 1.0, 0.0), advantage)
-
-
-def normalize_and_blame(
-    advantage: Float[Array, "T E N"],
-    action_mask: Bool[Array, "T E N actions"],
-    reward: Float[Array, "T E"],
-    greedy: bool | Bool[Array, " E"],
-    normalize: Callable[[Array, Array], Array],
-) -> Float[Array, "T E N"]:
-    """Normalize advantages over agents with a choice in copies that sample, and blame the others.
-
-    Args:
-        advantage: advantages of all copies.
-        action_mask: True for actions that agents can take.
-        reward: rewards of the environment.
-        greedy: True for copies that act greedily; False if there is none.
-        normalize: function of the advantages, and of whether each counts.
-    """
-    active = without_greedy(has_choice(action_mask), per_agent(greedy))
-    return blame_greedy(normalize(advantage, active), greedy, reward)
-
-
 NO_IMITATION = Imitation(
     init=lambda: (),
     store=lambda successes, batch, transitions, key: (successes, {}),
@@ -192,7 +132,7 @@ def make_imitation(
     def store(successes: Successes, batch: SequenceBatch, transitions: Transition, key: Key):
         outcome = transitions.outcome
         to_come = reward_to_come(outcome.reward, outcome.done, ppo.discount)
-        weight = better_than_usual(to_come, greedy_copies(config, ppo.num_envs))
+        weight = better_than_usual(to_come, mark_greedy(config.greedy_copies, ppo.num_envs))
         return insert(successes, batch, cut(weight, ppo.sequence_length), config.inserts, key)
 
     def train(successes: Successes, learner: Learner):

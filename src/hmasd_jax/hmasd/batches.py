@@ -7,7 +7,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
-from hmasd_jax.exploration.successes import greedy_copies, normalize_and_blame, without_greedy
+from hmasd_jax.exploration.greedy_copies import (
+    mark_greedy,
+    normalize_and_blame,
+    without_greedy,
+)
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
@@ -129,7 +133,8 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    learned = without_greedy(segments.begins, greedy_copies(config.imitation, ppo.num_envs))
+    greedy = mark_greedy(config.imitation.greedy_copies, ppo.num_envs)
+    learned = without_greedy(segments.begins, greedy)
     chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
@@ -176,7 +181,7 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
-    greedy = greedy_copies(config.imitation, ppo.num_envs)
+    greedy = mark_greedy(config.imitation.greedy_copies, ppo.num_envs)
     advantage = normalize_and_blame(
         advantage, timestep.action_mask, outcome.reward, greedy,
         partial(normalize_advantage, floor=config.low_advantage_floor),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
-from hmasd_jax.exploration.successes import greedy_copies, per_agent
+from hmasd_jax.exploration.greedy_copies import mark_greedy, per_agent
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
@@ -93,7 +93,7 @@ def collect(
     )
     _, renewed = read_clock(config, memory.clock, env.first)
     state, obs = env.timestep.state, env.timestep.obs
-    greedy = greedy_copies(config.imitation, config.ppo.num_envs)
+    greedy = mark_greedy(config.imitation.greedy_copies, config.ppo.num_envs)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
@@ -118,7 +118,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
 
     Copies that act greedily take the most likely skills and actions.
     """
-    greedy = greedy_copies(parts.config.imitation, parts.config.ppo.num_envs)
+    greedy = mark_greedy(parts.config.imitation.greedy_copies, parts.config.ppo.num_envs)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
