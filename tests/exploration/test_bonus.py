@@ -45,7 +45,8 @@ def test_the_weight_of_the_entropy_is_that_of_the_bonus_that_has_one():
         assert both.entropy_weight(both.init(jax.random.key(0))) == expected
 
 
-def test_the_entropy_of_mappo_is_weighted_by_the_bonus():
+@pytest.mark.parametrize(("weight", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
+def test_the_entropy_of_mappo_is_weighted_by_the_bonus(weight, entropy_coef):
     env = envs_jax.make("probe_match_cue")
     ppo = PPOConfig(num_envs=4, rollout_length=10, num_epochs=2, hidden_size=8)
     parts = mappo.make_parts(env, MAPPOConfig(entropy_coef=0.5, ppo=ppo))
@@ -55,8 +56,8 @@ def test_the_entropy_of_mappo_is_weighted_by_the_bonus():
         update = jax.jit(lambda state: mappo.train_iteration(parts, state)[0].learner.params)
         return update(state)
 
-    fading = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda _: 0.5))
-    fixed = replace(parts, config=replace(parts.config, entropy_coef=0.25))
+    fading = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda _: weight))
+    fixed = replace(parts, config=replace(parts.config, entropy_coef=entropy_coef))
     jax.tree.map(assert_array_equal, params_after(fading), params_after(fixed))
 
 
