@@ -14,7 +14,6 @@ from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.successes import (
     NO_IMITATION,
     ImitationConfig,
-    better_than_usual,
     imitation_loss,
     insert,
     reward_to_come,
@@ -60,20 +59,10 @@ def test_rewards_flow_back_to_the_start_of_their_episode_only():
     assert_allclose(reward_to_come(reward, done, 0.5)[:, 0], [2, 4, 4, 8])
 
 
-def test_weights_are_the_rewards_above_the_mean_of_copies_that_sample():
-    to_come = jnp.array([[8.0, 0.0, 2.0, 4.0], [0.0, -5.0, 0.0, 0.0], [3.0, 3.0, 3.0, 3.0]])
-    none, first = False, jnp.array([True, False, False, False])
-    assert_allclose(better_than_usual(to_come, none)[0], [4.5 / 8, 0, 0, 0.5 / 8])
-    assert_allclose(better_than_usual(to_come, first)[0], [6 / 8, 0, 0, 2 / 8])
-    assert_allclose(better_than_usual(to_come, first)[1:], 0)
-    assert_allclose(better_than_usual(jnp.zeros((2, 4)), first), 0)
-    assert_allclose(better_than_usual(to_come[:, :1], none), 0)
-
-
-def test_only_sequences_with_weight_are_stored_the_oldest_are_replaced():
+def test_only_sequences_with_reward_are_stored_the_oldest_are_replaced():
     store = PARTS.imitation.init()
     key = jax.random.key(0)
-    store, metrics = insert(store, _batch(2, 1), jnp.array([[0.0, 0.0], [0.5, 1.0]]), 2, key)
+    store, metrics = insert(store, _batch(2, 1), jnp.array([[0.0, 0.0], [2.0, 4.0]]), 2, key)
     assert metrics["stored_successes"] == 1
     assert_allclose(store.weight, [[0.5, 1.0], [0, 0], [0, 0]])
     np.testing.assert_array_equal(store.steps.action[0], 1)
@@ -86,8 +75,8 @@ def test_only_sequences_with_weight_are_stored_the_oldest_are_replaced():
     assert store.next_slot == 1
 
 
-def test_sequences_are_drawn_in_proportion_to_their_weight():
-    """The first of three has half the weight of the others: a draw of one takes it in a fifth."""
+def test_sequences_are_drawn_in_proportion_to_their_reward():
+    """The first of three is followed by half the reward: a draw of one takes it in a fifth."""
     weight = jnp.array([[0.5, 0.25], [1.0, 1.0], [1.0, 1.0], [0.0, 0.0]])
     batch = _batch(4)._replace(action=jnp.arange(4)[:, None, None] + jnp.zeros((4, 2, 2), int))
 
@@ -99,7 +88,7 @@ def test_sequences_are_drawn_in_proportion_to_their_weight():
     assert_allclose(share, [0.2, 0.4, 0.4, 0.0], atol=0.03)
 
 
-def test_a_rollout_without_weight_stores_nothing():
+def test_a_rollout_without_reward_stores_nothing():
     store = PARTS.imitation.init()
     after, _ = insert(store, _batch(2), jnp.zeros((2, 2)), 2, jax.random.key(0))
     jax.tree.map(np.testing.assert_array_equal, after, store)
@@ -107,7 +96,7 @@ def test_a_rollout_without_weight_stores_nothing():
 
 def test_the_loss_weighs_log_probabilities_and_averages_over_empty_slots_too(learner):
     batch = _batch(1, action=2)
-    store, _ = insert(PARTS.imitation.init(), batch, jnp.array([[0.5, 1.0]]), 2, jax.random.key(0))
+    store, _ = insert(PARTS.imitation.init(), batch, jnp.array([[2.0, 4.0]]), 2, jax.random.key(0))
     loss = imitation_loss(learner.params, PARTS.networks, store)
     _, distribution = PARTS.networks.act(
         learner.params, batch.memory.actor, batch.obs.swapaxes(0, 1),

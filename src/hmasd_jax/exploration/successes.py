@@ -1,11 +1,9 @@
 """Imitation of a policy's own successes (self-imitation learning, Oh et al., ICML 2018).
 
-A ring buffer keeps sequences that led to more reward than usual. After each update of PPO the actor
-takes a few gradient steps towards the stored actions. They are weighted by how much more discounted
-reward followed than follows in the mean of the copies that sample. What the team does anyway is
-therefore not imitated. Oh et al. compare with the critic's value, which here contains bonuses and
-rewards for skills, too. The weights are averaged over the whole buffer, so that one lucky rollout
-in an empty buffer pulls little.
+A ring buffer keeps sequences that led to reward. After each update of PPO the actor takes a few
+gradient steps towards the stored actions. They are weighted by the discounted reward that followed.
+The weights are averaged over the whole buffer, so that one lucky rollout in an empty buffer pulls
+little.
 """
 
 from collections.abc import Callable
@@ -18,7 +16,6 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax.exploration.greedy_copies import mark_greedy
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.rollout import cut
@@ -38,7 +35,7 @@ class ImitationConfig:
     capacity: int = 256
     """Sequences in the buffer. New ones replace the oldest."""
     inserts: int = 48
-    """Most sequences stored per rollout, drawn in proportion to their largest weight."""
+    """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
     the buffer and train the critics. The policy gradient takes only their worst actions, once play
@@ -83,7 +80,7 @@ class Successes(NamedTuple):
     """Memory of the actor before each sequence."""
     steps: StoredSteps
     weight: Float[Array, "C L"]
-    """Weight of each step, from `better_than_usual`; 0 in an empty slot."""
+    """Discounted reward that followed, 1 for the largest of its rollout; 0 in an empty slot."""
     next_slot: Int[Array, ""]
 
 
@@ -132,8 +129,7 @@ def make_imitation(
     def store(successes: Successes, batch: SequenceBatch, transitions: Transition, key: Key):
         outcome = transitions.outcome
         to_come = reward_to_come(outcome.reward, outcome.done, ppo.discount)
-        weight = better_than_usual(to_come, mark_greedy(config.greedy_copies, ppo.num_envs))
-        return insert(successes, batch, cut(weight, ppo.sequence_length), config.inserts, key)
+        return insert(successes, batch, cut(to_come, ppo.sequence_length), config.inserts, key)
 
     def train(successes: Successes, learner: Learner):
         def step(learner, _):
@@ -188,38 +184,23 @@ def reward_to_come(
     return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, done), reverse=True)[1]
 
 
-def better_than_usual(
-    to_come: Float[Array, "T E"], greedy: bool | Bool[Array, " E"]
-) -> Float[Array, "T E"]:
-    """Return how much more reward follows than usual, at most 1; 0 for no more than usual.
-
-    Usual is the mean of the copies that sample, at the same step of the rollout. The unit is the
-    largest reward that follows any step of the rollout. A copy alone is never better than usual.
-
-    Args:
-        to_come: discounted rewards that follow. Negative ones count as none.
-        greedy: True for copies that act greedily; False if there is none.
-    """
-    to_come = jnp.maximum(to_come, 0.0)
-    usual = to_come.mean(axis=1, keepdims=True, where=jnp.logical_not(greedy))
-    return jnp.maximum(to_come - usual, 0.0) / jnp.maximum(to_come.max(), 1e-6)
-
-
 def insert(
-    successes: Successes, batch: SequenceBatch, weight: Float[Array, "S L"], most: int, key: Key
+    successes: Successes, batch: SequenceBatch, to_come: Float[Array, "S L"], most: int, key: Key
 ) -> tuple[Successes, Metrics]:
-    """Store the sequences of a rollout with weight, at most `most` of them.
+    """Store the sequences of a rollout that led to reward, at most `most` of them.
 
     Args:
         successes: buffer.
         batch: sequences of the rollout.
-        weight: weight of each step, from 0 to 1.
+        to_come: discounted rewards that follow each step. Negative ones count as none.
         most: most sequences to store, drawn in proportion to their largest weight.
         key: PRNG key of the draw.
 
     Returns:
         The new buffer, and the number of sequences stored.
     """
+    weight = jnp.maximum(to_come, 0.0)
+    weight = weight / jnp.maximum(weight.max(), 1e-6)
     best = weight.max(-1)
     # The largest of log w + Gumbel noise are a draw without replacement. The sequences with the
     # most reward alone would be the ends of episodes, and a policy that has lost the way to them
