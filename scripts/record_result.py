@@ -43,7 +43,7 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 |---|---|
 | `_general` | our preset with the same settings of the algorithm in all tasks |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
-| `_again` | the same command as the row without it, at a later commit |
+| `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
 | `_disc` | the preset of the row without it, since units start in a disc (commit cf92a6c) |
 | `_lambda_095` | the retired preset with a lambda of GAE of 0.95 |
