@@ -34,12 +34,14 @@ def _make(num_team_skills=2, num_skills=3, num_blocks=2):
             ppo=PPOConfig(hidden_size=SIZE),
         )
     )
-    state, obs, skills = _inputs()
-    params = jax.jit(network.init)(jax.random.key(0), state, obs, skills)
+    shapes = jax.eval_shape(network.init, jax.random.key(0), *_inputs())
     rng = np.random.default_rng(7)
-    return network, jax.tree.map(
-        lambda p: np.asarray(p) + 0.3 * rng.normal(size=p.shape).astype(np.float32), params
-    )
+
+    def draw(path, leaf):
+        center = 1.0 if path[-1].key == "scale" else 0.0  # of a LayerNorm
+        return (center + 0.35 * rng.normal(size=leaf.shape)).astype(np.float32)
+
+    return network, jax.tree_util.tree_map_with_path(draw, shapes)
 
 
 def _inputs(batch=()):
