@@ -3,6 +3,7 @@
 import gc
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -117,7 +118,7 @@ def compile_programs(
     )
     programs = load_or_compile(
         lowered,
-        lambda: tuple(map(compile_lowered, lowered, RUNS)),
+        lambda: _compile_together(lowered),
         lambda programs: _first_update(keys, *programs),
     )
     init, advance_by, evaluate_at = programs
@@ -129,6 +130,15 @@ def compile_programs(
         memory_bytes=max(_memory_bytes(program) for program in programs),
         compile_seconds=time.perf_counter() - start,
     )
+
+
+def _compile_together(lowered: Sequence[jax.stages.Lowered]) -> tuple[jax.stages.Compiled, ...]:
+    """Compile `init`, `advance` and `evaluate` at once.
+
+    Most of XLA's passes over a program use one core, which leaves others for the next program.
+    """
+    with ThreadPoolExecutor() as pool:
+        return tuple(pool.map(compile_lowered, lowered, RUNS))
 
 
 def _first_update(keys: Key, init: Callable, advance: Callable, evaluate: Callable) -> Any:
