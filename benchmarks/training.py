@@ -91,6 +91,7 @@ def bench(env: str, algorithm: str, quick: bool, repeats: int) -> list[Row]:
     ceiling = ceiling_gflops(repeats)
     work = [("update", learner.update, (state,))]
     for name, function, args in chain(work, PARTS.get(algorithm, lambda _: ())(config)):
+        function = jax.jit(function)  # traced once although used twice below
         program, compile_s = compiled(function, *args)
         timing = measure(lambda program=program, args=args: program(*args), repeats)
         rows.append(

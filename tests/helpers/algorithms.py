@@ -1,7 +1,11 @@
-"""Checks that hold for every algorithm."""
+"""Checks that hold for every algorithm, and states to start from."""
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+
+from hmasd_jax.runs.checkpoint import state_template
 
 
 def assert_no_key_is_used_twice(algorithm, num_envs):
@@ -21,3 +25,17 @@ def assert_no_key_is_used_twice(algorithm, num_envs):
         jax.make_jaxpr(jax.jit(init_update_act))(jax.random.key(0))
         with pytest.raises(jax.errors.KeyReuseError):  # The line above would raise it, too.
             jax.make_jaxpr(jax.jit(reuses))(jax.random.key(0))
+
+
+def draw_state(algorithm, seed):
+    """Draw a train state at random, without a compiled `init`; integers are 0."""
+    rng = np.random.default_rng(seed)
+
+    def draw(leaf):
+        if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+            return jax.random.key(seed)
+        if jnp.issubdtype(leaf.dtype, jnp.floating):
+            return jnp.asarray(0.3 * rng.normal(size=leaf.shape), leaf.dtype)
+        return jnp.zeros(leaf.shape, leaf.dtype)
+
+    return jax.tree.map(draw, state_template(algorithm))

@@ -3,11 +3,10 @@
 import json
 from pathlib import Path
 
-import jax
-
 from hmasd_jax import config as configs
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import checkpoint_folder
+from tests.helpers.algorithms import draw_state
 
 STEPS = [0, 100, 200, 300]
 """Environment steps of the evaluations."""
@@ -34,8 +33,8 @@ def write_run(
 
 
 def save_checkpoint(run: Path, seed: int, env_steps: int) -> None:
-    """Save a fresh train state as a checkpoint of the run's own configuration."""
+    """Save a drawn train state as a checkpoint of the run's own configuration."""
     config = configs.load(run / "config.json")
     _, algorithm = configs.build(config)
-    state = jax.jit(algorithm.init)(jax.random.key(seed))
+    state = draw_state(algorithm, seed)
     checkpoint.save(checkpoint_folder(run, seed), env_steps, state, configs.to_json(config), keep=1)

@@ -17,6 +17,7 @@ from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.checkpoint import CheckpointError
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, create, seed_folder
 from hmasd_jax.runs.load import load_policy, load_run
+from tests.helpers.algorithms import draw_state
 
 PPO = PPOConfig(hidden_size=8, num_envs=2, rollout_length=20, num_epochs=1)
 CONFIG = TrainConfig(
@@ -28,8 +29,7 @@ CONFIG = TrainConfig(
 @pytest.fixture(scope="module")
 def states():
     _, algorithm = build(CONFIG)
-    init = jax.jit(algorithm.init)
-    return {step: init(jax.random.key(step)) for step in (40, 80)}
+    return {step: draw_state(algorithm, step) for step in (40, 80)}
 
 
 @pytest.fixture(scope="module")
