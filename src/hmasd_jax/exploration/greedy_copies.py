@@ -9,16 +9,33 @@ would never know.
 """
 
 from collections.abc import Callable
+from typing import Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hmasd_jax.rl.ppo import has_choice
+from hmasd_jax.exploration.successes import ImitationConfig
+from hmasd_jax.rl.ppo import PPOConfig, has_choice
 
 
-def mark_greedy(count: int, num_envs: int) -> bool | Bool[Array, " E"]:
-    """Mark the first `count` of `num_envs` copies, which act greedily; False if there is none."""
-    return jnp.arange(num_envs) < count if count else False
+class Settings(Protocol):
+    """Settings of an algorithm that can imitate its own successes."""
+
+    @property
+    def ppo(self) -> PPOConfig:
+        """Settings of PPO."""
+        ...
+
+    @property
+    def imitation(self) -> ImitationConfig:
+        """Settings of imitation."""
+        ...
+
+
+def mark_greedy(config: Settings) -> bool | Bool[Array, " E"]:
+    """Mark the copies that act greedily, which are the first; False if there is none."""
+    count = config.imitation.greedy_copies
+    return jnp.arange(config.ppo.num_envs) < count if count else False
 
 
 def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:

@@ -133,7 +133,7 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    greedy = mark_greedy(config.imitation.greedy_copies, ppo.num_envs)
+    greedy = mark_greedy(config)
     learned = without_greedy(segments.begins, greedy)
     chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
@@ -181,7 +181,7 @@ def low_batch(
     advantage, target = rollout_advantage(
         reward, extras.value[..., None], last_value[..., None], outcome, value_of_outcome, norm, ppo
     )
-    greedy = mark_greedy(config.imitation.greedy_copies, ppo.num_envs)
+    greedy = mark_greedy(config)
     advantage = normalize_and_blame(
         advantage, timestep.action_mask, outcome.reward, greedy,
         partial(normalize_advantage, floor=config.low_advantage_floor),

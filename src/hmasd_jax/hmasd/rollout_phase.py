@@ -93,7 +93,7 @@ def collect(
     )
     _, renewed = read_clock(config, memory.clock, env.first)
     state, obs = env.timestep.state, env.timestep.obs
-    greedy = mark_greedy(config.imitation.greedy_copies, config.ppo.num_envs)
+    greedy = mark_greedy(config)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
@@ -118,7 +118,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
 
     Copies that act greedily take the most likely skills and actions.
     """
-    greedy = mark_greedy(parts.config.imitation.greedy_copies, parts.config.ppo.num_envs)
+    greedy = mark_greedy(parts.config)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)

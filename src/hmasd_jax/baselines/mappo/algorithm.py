@@ -119,7 +119,7 @@ def make_policy(parts: Parts, state: Learned, greedy: bool = True) -> Policy:
 
 def act_and_evaluate(parts: Parts, params: dict) -> StepFn:
     """Build a step that samples actions and evaluates the critic, for training."""
-    greedy = mark_greedy(parts.config.imitation.greedy_copies, parts.config.ppo.num_envs)
+    greedy = mark_greedy(parts.config)
 
     def step(memory, timestep, first, key):
         actor, distribution = parts.networks.act(
@@ -169,7 +169,7 @@ def make_batch(
         reward, extras.value, last_value, outcome, value_of_outcome, state.norm, config.ppo
     )
     advantage = jnp.broadcast_to(advantage, transitions.action.shape)
-    greedy = mark_greedy(config.imitation.greedy_copies, config.ppo.num_envs)
+    greedy = mark_greedy(config)
     advantage = normalize_and_blame(
         advantage, timestep.action_mask, outcome.reward, greedy, normalize
     )
