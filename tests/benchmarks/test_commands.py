@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import growth, maser, training, versions
+from benchmarks import growth, maser, seeds, training, versions
 from benchmarks.time_to_solve import Curve, measured, recorded, solve
 from tests.helpers.runs import write_run
 
@@ -75,9 +75,9 @@ def test_training_is_split_into_its_parts(run_here):
     assert 0.2 < sum(seconds[1:]) / seconds[0] < 5
 
 
-def test_seeds_in_every_placement():
-    words = ("--algorithm", "mappo", "--seeds", "2", "--placement", "workers", "sharded")
-    rows = run("seeds.py", *words)
+def test_seeds_in_workers_and_in_one_program(run_here):
+    words = ("--algorithm", "mappo", "--seeds", "2", "--placement")
+    rows = run_here(seeds, *words, "workers") + run("seeds.py", *words, "sharded")
     assert [(row["placement"], row["seeds"]) for row in rows] == [("workers", 2), ("sharded", 2)]
 
 
