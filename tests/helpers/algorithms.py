@@ -28,14 +28,20 @@ def assert_no_key_is_used_twice(algorithm, num_envs):
 
 
 def draw_state(algorithm, seed):
-    """Draw a train state at random, without a compiled `init`; integers are 0."""
+    """Draw a train state at random, without a compiled `init`."""
+    return draw_like(state_template(algorithm), seed)
+
+
+def draw_like(shapes, seed):
+    """Draw floats at random; those that scale a LayerNorm are around 1, and integers are 0."""
     rng = np.random.default_rng(seed)
 
-    def draw(leaf):
+    def draw(path, leaf):
         if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
             return jax.random.key(seed)
         if jnp.issubdtype(leaf.dtype, jnp.floating):
-            return jnp.asarray(0.3 * rng.normal(size=leaf.shape), leaf.dtype)
+            center = float(jax.tree_util.keystr(path).endswith("['scale']"))
+            return jnp.asarray(center + 0.35 * rng.normal(size=leaf.shape), leaf.dtype)
         return jnp.zeros(leaf.shape, leaf.dtype)
 
-    return jax.tree.map(draw, state_template(algorithm))
+    return jax.tree_util.tree_map_with_path(draw, shapes)

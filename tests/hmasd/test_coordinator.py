@@ -18,6 +18,7 @@ from hmasd_jax.hmasd.coordinator import (
 )
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.rl.value_norm import ValueNorm
+from tests.helpers.algorithms import draw_like
 
 AGENTS, STATE, OBS, SIZE = 3, 4, 5, 8
 TOKENS = 1 + AGENTS
@@ -35,13 +36,7 @@ def _make(num_team_skills=2, num_skills=3, num_blocks=2):
         )
     )
     shapes = jax.eval_shape(network.init, jax.random.key(0), *_inputs())
-    rng = np.random.default_rng(7)
-
-    def draw(path, leaf):
-        center = 1.0 if path[-1].key == "scale" else 0.0  # of a LayerNorm
-        return (center + 0.35 * rng.normal(size=leaf.shape)).astype(np.float32)
-
-    return network, jax.tree_util.tree_map_with_path(draw, shapes)
+    return network, draw_like(shapes, seed=7)
 
 
 def _inputs(batch=()):

@@ -29,7 +29,7 @@ CONFIG = TrainConfig(
 @pytest.fixture(scope="module")
 def states():
     _, algorithm = build(CONFIG)
-    return {step: draw_state(algorithm, step) for step in (40, 80)}
+    return {step: draw_state(algorithm, seed) for seed, step in enumerate((40, 80))}
 
 
 @pytest.fixture(scope="module")
