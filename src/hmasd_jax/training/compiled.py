@@ -1,5 +1,6 @@
 """The compiled functions of a run. All of them take a batch of seeds on the first axis."""
 
+import functools
 import gc
 import time
 from collections.abc import Callable, Sequence
@@ -182,7 +183,7 @@ def compile_lowered(lowered: jax.stages.Lowered, runs: Runs = "often") -> jax.st
     On a CPU, programs are compiled at LLVM's first level of optimization, or at none if they run
     once. HMASD runs as fast as at the last level, and its `init` compiles in two thirds of the
     time. The older emitters of fused kernels compile sooner to slower programs, which saves time
-    where evaluations are seldom.
+    where evaluations are seldom. jax 0.11.1 and later no longer have them.
 
     Args:
         lowered: Traced function.
@@ -191,8 +192,19 @@ def compile_lowered(lowered: jax.stages.Lowered, runs: Runs = "often") -> jax.st
     options: dict[str, str | bool] = {}
     if jax.default_backend() == "cpu" and not jax.config.read("jax_disable_most_optimizations"):
         options["xla_backend_optimization_level"] = "0" if runs == "once" else "1"
-        options["xla_cpu_use_fusion_emitters"] = runs == "often"
+        if has_older_emitters():
+            options["xla_cpu_use_fusion_emitters"] = runs == "often"
     return lowered.compile(options)
+
+
+@functools.cache
+def has_older_emitters() -> bool:
+    """Return True if this version of XLA still has its older emitters of fused kernels."""
+    try:
+        jax.jit(lambda: 0).lower().compile({"xla_cpu_use_fusion_emitters": False})
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
 
 
 def all_finite(state: Any, metrics: Metrics) -> Bool[Array, ""]:
