@@ -90,6 +90,8 @@ def recorded() -> Iterator[Row]:
         record = json.loads(path.read_text())
         if "tried" in path.parts or not {"values", "wall_seconds"} <= set(record):
             continue
+        if not record["device"].startswith("cpu"):
+            continue
         steps = record["env_steps"]
         curves = [
             Curve(steps, values, [seconds * step / steps[-1] for step in steps])

@@ -13,13 +13,17 @@ import json
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from scripts.paper import TASKS, summarize_record
+from scripts.paper import TASKS, final_scores, summarize_record
 from scripts.records import RESULTS
 from scripts.result_settings import changed_settings
 from scripts.run_records import recorded_seeds
 
 SYSTEMS = ("hmasd", "mappo", "mat", "maser", "eiti", "edti")
 """Systems of the table, in its order."""
+LEARNED = 0.1
+"""Part of a task's bar from which a seed counts as one that learned at all."""
+PAPER_LEARNED = {"hmasd": "26 of 35"}
+"""Seeds that learned in the paper, from its means and deviations over five seeds."""
 
 
 class Cell(NamedTuple):
@@ -87,12 +91,27 @@ def table() -> list[str]:
         "",
         "Ours above, the paper's below. `python scripts/comparison.py` counts the seeds that are",
         "wanted and recorded, and with `--commands` prints what is left to run. A number marked *",
-        "has other settings than today's preset.",
+        "has other settings than today's preset. A seed has learned if it scores at least a tenth",
+        "of the bar in the head of its task's table.",
         "",
         f"| task | {' | '.join(system.upper() for system in SYSTEMS)} |",
         "|---" * (1 + len(SYSTEMS)) + "|",
         *(f"| {task} | {' | '.join(shown(task, x) for x in SYSTEMS)} |" for task in TASKS),
+        f"| seeds that learned | {' | '.join(map(learned, SYSTEMS))} |",
     ]
+
+
+def learned(system: str) -> str:
+    """Return how many seeds of a system have learned, over all tasks, beside the paper's."""
+    count = total = 0
+    for task, about in TASKS.items():
+        if record := find_record(task, system):
+            scores = final_scores(record)
+            count += int((scores >= LEARNED * about.bar).sum())
+            total += len(scores)
+    paper = PAPER_LEARNED.get(system)
+    ours = f"{count} of {total}" if total else ""
+    return f"{ours}<br>{paper}" if paper else ours
 
 
 def shown(task: str, system: str) -> str:

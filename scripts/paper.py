@@ -2,6 +2,8 @@
 
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from hmasd_jax.analysis.curves import Reference
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.analysis.statistics import Summary, last_evaluations, summarize
@@ -93,5 +95,10 @@ TASKS = {
 
 def summarize_record(record: dict[str, Any], task: Task) -> Summary:
     """Summarize the last evaluations of a record, in the units of its task."""
+    return summarize(final_scores(record), solved_at=task.bar)
+
+
+def final_scores(record: dict[str, Any]) -> np.ndarray:
+    """Return the score of each seed of a record, (seeds,): the mean of its last evaluations."""
     scale = 100 if record["metric"] == "success" else 1
-    return summarize(scale * last_evaluations(record["values"], LAST), solved_at=task.bar)
+    return scale * last_evaluations(record["values"], LAST)

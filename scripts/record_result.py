@@ -35,7 +35,7 @@ run. A score is the success rate of greedy episodes in percent, or their mean re
 over the last {last} evaluations of each seed, then over seeds. "±" is the (population) standard
 deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootstrap interval of the
 mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of training and evaluation,
-without compilation, summed over the seeds.
+without compilation, summed over the seeds, or of all seeds at once on a GPU.
 
 A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
 
@@ -45,6 +45,7 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
+| `_cpu` | the preset of the row without it at an earlier commit and on a CPU |
 | `_disc` | the preset of the row without it, since units start in a disc (commit cf92a6c) |
 | `_lambda_095` | the retired preset with a lambda of GAE of 0.95 |
 | `_skill_interval_K`, `_num_team_skills_N`, `_num_skills_N` | other skills (the paper's Fig. 10) |
@@ -85,9 +86,17 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
         ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(of_each_seed(kept, "commit"))),
-        f"{sum(kept['wall_seconds']) / 60:.0f}",
+        minutes(kept),
     ]
     return f"| {' | '.join(cells)} |"
+
+
+def minutes(kept: dict[str, Any]) -> str:
+    """Format the time of training, in which the seeds on a GPU train all at once."""
+    seconds = kept["wall_seconds"]
+    if kept["device"].startswith("gpu"):
+        return f"{max(seconds) / 60:.0f} (GPU)"
+    return f"{sum(seconds) / 60:.0f}"
 
 
 def differences(files: list[Path], kept: list[dict[str, Any]]) -> list[str]:

@@ -11,7 +11,8 @@ def _record(name):
 
 
 def test_a_changed_preset_is_noticed():
-    assert changed_settings(_record("micro_battle/3m/hmasd")) == {"env.state": ("mappo", "smac")}
+    record = _record("micro_battle/3m/tried/hmasd_wrapper_state")
+    assert changed_settings(record) == {"env.state": ("mappo", "smac")}
 
 
 def test_options_of_the_command_are_noticed():
