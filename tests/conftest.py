@@ -1,6 +1,7 @@
 """Settings that must stand before jax is imported: tests are bound by compile time."""
 
 import atexit
+import functools
 import gc
 import os
 import shutil
@@ -24,6 +25,11 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     atexit.register(shutil.rmtree, programs, ignore_errors=True)
     os.environ["JAX_COMPILATION_CACHE_DIR"] = programs
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+
+from jax._src.interpreters import mlir  # noqa: E402 (the settings above come first)
+
+# JAX makes an MLIR context for each of thousands of programs, a tenth of all time. One will do.
+mlir.make_ir_context = functools.cache(mlir.make_ir_context)
 
 gc.set_threshold(50_000)  # Tracing makes many objects; looking for garbage takes a fifth of it.
 
