@@ -15,10 +15,10 @@ os.environ.setdefault("JAX_DISABLE_MOST_OPTIMIZATIONS", "1")
 os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # See `hmasd_jax.cli.main`.
 # The older code generator compiles in a third of the time, and each worker of pytest has one core,
 # which gains nothing from code that is split to be compiled in parallel.
-flags = [os.environ.get("XLA_FLAGS", ""), "--xla_cpu_parallel_codegen_split_count=1"]
-if tuple(map(int, version("jaxlib").split(".")[:3])) < (0, 11, 1):  # Later ones do not have it.
-    flags.append("--xla_cpu_use_fusion_emitters=false")
-os.environ["XLA_FLAGS"] = " ".join(flags).strip()
+FLAGS = "--xla_cpu_parallel_codegen_split_count=1"
+if tuple(map(int, version("jaxlib").split(".")[:3])) < (0, 11, 1):  # Later ones have no older one.
+    FLAGS += " --xla_cpu_use_fusion_emitters=false"
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FLAGS}".strip()
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # A program is compiled once for all tests, for all workers of pytest and for what they start.
     programs = tempfile.mkdtemp(prefix="hmasd_jax_tests_")
