@@ -16,7 +16,7 @@ os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # See `hmasd_jax.cli.main`.
 # The older code generator compiles in a third of the time, and each worker of pytest has one core,
 # which gains nothing from code that is split to be compiled in parallel.
 FLAGS = "--xla_cpu_parallel_codegen_split_count=1"
-if tuple(map(int, version("jaxlib").split(".")[:3])) < (0, 11, 1):  # Later ones have no older one.
+if tuple(map(int, version("jaxlib").split(".")[:3])) < (0, 11, 1):  # which removed it
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FLAGS}".strip()
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
@@ -28,7 +28,8 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 
 from jax._src.interpreters import mlir  # noqa: E402 (the settings above come first)
 
-# JAX makes an MLIR context for each of thousands of programs, a tenth of all time. One will do.
+# JAX makes an MLIR context for each of thousands of programs. One for all saves a twentieth of the
+# time.
 mlir.make_ir_context = functools.cache(mlir.make_ir_context)
 
 gc.set_threshold(50_000)  # Tracing makes many objects; looking for garbage takes a fifth of it.

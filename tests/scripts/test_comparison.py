@@ -53,6 +53,16 @@ def test_a_cell_that_was_not_run_says_so(monkeypatch):
     assert comparison.shown("micro_battle/3m", "eiti") == ""
 
 
+def test_seeds_that_learned_are_counted_beside_the_papers(monkeypatch):
+    record = {"metric": "success", "values": [[0.0] * 5, [0.0, 0.5, 0.0, 0.0, 0.0], [1.0] * 5]}
+    records = {"alice_and_bob": record}  # The bar is 90 %, a tenth of which the second seed passes.
+    monkeypatch.setattr(comparison, "find_record", lambda task, _: records.get(task))
+    assert comparison.learned("hmasd") == "2 of 3<br>26 of 35"
+    assert comparison.learned("mappo") == "2 of 3"
+    records.clear()
+    assert comparison.learned("mappo") == ""
+
+
 def test_missing_seeds_are_printed(monkeypatch, capsys):
     cell = Cell("alice_and_bob", "mappo", "mappo", 11, {})
     monkeypatch.setattr(comparison, "cells", lambda: iter([cell]))

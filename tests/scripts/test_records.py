@@ -161,3 +161,9 @@ def test_tried_runs_are_added_and_replaced(run, tmp_path):
     assert json.loads(out.read_text()) == entries
     assert [entry["changed"] for entry in entries] == ["all", "nothing at all"]
     assert entries[0]["values"] == [[0.0, 1.0]]
+
+
+def test_seeds_on_a_gpu_share_their_time():
+    assert record_result.minutes({"device": "cpu: cpu", "wall_seconds": [60.0, 120.0]}) == "3"
+    gpu = {"device": "gpu: NVIDIA H100", "wall_seconds": [119.0, 120.0]}
+    assert record_result.minutes(gpu) == "2 (GPU)"
