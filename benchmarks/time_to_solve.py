@@ -16,7 +16,7 @@ import json
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean, median
 from typing import NamedTuple
@@ -65,8 +65,8 @@ def solve(name: str, curves: list[Curve]) -> Row:
     levels = [fmean(curve.values[-LAST:]) for curve in curves]
     learned = [
         (curve, level)
-        for curve, level in zip(curves, levels)
-        if level > 0 and level >= LEARNED * max(levels)
+        for curve, level, has_learned in zip(curves, levels, have_learned(levels))
+        if has_learned
     ]
     if not learned:
         return Row(name, len(curves), 0, None, None, None, None)
@@ -77,6 +77,11 @@ def solve(name: str, curves: list[Curve]) -> Row:
     return Row(
         name, len(curves), len(learned), level, float(median(steps)), median(minutes), max(minutes)
     )
+
+
+def have_learned(levels: Sequence[float]) -> list[bool]:
+    """Return which seeds have learned, from the final level of each."""
+    return [level > 0 and level >= LEARNED * max(levels) for level in levels]
 
 
 def first_at_least(values: list[float], bound: float) -> int:
@@ -90,7 +95,7 @@ def recorded() -> Iterator[Row]:
         record = json.loads(path.read_text())
         if "tried" in path.parts or not {"values", "wall_seconds"} <= set(record):
             continue
-        if not record["device"].startswith("cpu"):
+        if not record["device"].startswith("cpu"):  # Its seeds did not have a core each.
             continue
         steps = record["env_steps"]
         curves = [

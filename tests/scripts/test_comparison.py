@@ -55,7 +55,7 @@ def test_a_cell_that_was_not_run_says_so(monkeypatch):
 
 def test_seeds_that_learned_are_counted_beside_the_papers(monkeypatch):
     record = {"metric": "success", "values": [[0.0] * 5, [0.0, 0.5, 0.0, 0.0, 0.0], [1.0] * 5]}
-    records = {"alice_and_bob": record}  # The bar is 90 %, a tenth of which the second seed passes.
+    records = {"alice_and_bob": record}  # The second seed has a tenth of the best.
     monkeypatch.setattr(comparison, "find_record", lambda task, _: records.get(task))
     assert comparison.learned("hmasd") == "2 of 3<br>26 of 35"
     assert comparison.learned("mappo") == "2 of 3"
