@@ -17,7 +17,7 @@ from benchmarks.time_to_solve import have_learned
 from scripts.paper import TASKS, final_scores, summarize_record
 from scripts.records import RESULTS
 from scripts.result_settings import changed_settings
-from scripts.run_records import recorded_seeds
+from scripts.run_records import recorded_seeds, stopped
 
 SYSTEMS = ("hmasd", "mappo", "mat", "maser", "eiti", "edti")
 """Systems of the table, in its order."""
@@ -123,7 +123,7 @@ def shown(task: str, system: str) -> str:
         return f"not run<br>{paper}"
     final = summarize_record(record, TASKS[task])
     mark = " *" if changed_settings(record) else ""
-    seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}"
+    seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}{stopped(record)}"
     return f"{final['mean']:.1f} ± {final['std']:.1f} ({seeds}){mark}<br>{paper}"
 
 

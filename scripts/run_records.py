@@ -23,36 +23,31 @@ def record(run: Path) -> dict[str, Any]:
     """Return the record of a run: what produced it, evaluations (seeds, steps), and training.
 
     Raises:
-        ValueError: not a run folder, or its seeds were not all evaluated at the same steps.
+        ValueError: not a run folder, or a seed cannot be recorded beside the others.
     """
     seeds = run_folder.seeds_of(run)
     if not seeds or not (run / "run.json").is_file():
         raise ValueError(f"RUN must be the folder of a run, but {run} holds no run.json and seeds")
     about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
-    env_steps, values, training, wall_seconds = None, [], [], []
-    for seed in seeds:
-        records = metrics_log.read(run_folder.metrics_path(run, seed))
-        evaluations = [entry for entry in records if entry["kind"] == "eval"]
-        steps = [entry["env_steps"] for entry in evaluations]
-        env_steps = env_steps or steps
-        if not evaluations or steps != env_steps:
-            raise ValueError(
-                f"seed {seed} of {run} was not evaluated at the steps of the other seeds: "
-                "finish the run with --resume first"
-            )
-        metric = main_metric(evaluations[-1])
-        values.append([round(entry[metric], 6) for entry in evaluations])
-        training.append(training_means(records))
-        wall_seconds.append(records[-1]["wall_seconds"])
+    joined, *others = (_record_of_seed(run, seed) for seed in seeds)
+    for seed, other in zip(seeds[1:], others):
+        joined |= _join(joined, other, f"seed {seed} of {run}")
+    return {**about, "command": " ".join(about["command"]), "config": config, **joined}
+
+
+def _record_of_seed(run: Path, seed: int) -> dict[str, Any]:
+    """Return what a record has of one seed, as lists with one item."""
+    records = metrics_log.read(run_folder.metrics_path(run, seed))
+    evaluations = [entry for entry in records if entry["kind"] == "eval"]
+    if not evaluations:
+        raise ValueError(f"seed {seed} of {run} has no evaluation: continue it with --resume")
+    metric = main_metric(evaluations[-1])
     return {
-        **about,
-        "command": " ".join(about["command"]),
-        "config": config,
         "metric": metric,
-        "env_steps": env_steps,
-        "values": values,
-        "training_means": training,
-        "wall_seconds": wall_seconds,
+        "env_steps": [entry["env_steps"] for entry in evaluations],
+        "values": [[round(entry[metric], 6) for entry in evaluations]],
+        "training_means": [training_means(records)],
+        "wall_seconds": [records[-1]["wall_seconds"]],
     }
 
 
@@ -73,11 +68,7 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
     for run, other in zip(runs[1:], others):
         if (any_seed(other["command"]), other["commit"]) != (command, first["commit"]):
             raise ValueError(f"{run} must have the command and the commit of {runs[0]}")
-        if other["env_steps"] != first["env_steps"]:
-            raise ValueError(
-                f"{run} was not evaluated at the steps of {runs[0]}: finish both with --resume"
-            )
-        joined |= _join(joined, other)
+        joined |= _join(joined, other, str(run))
     seeds = [seed for run in runs for seed in run_folder.seeds_of(run)]
     return joined | {"command": _name_seeds(command, first, seeds)}
 
@@ -96,15 +87,13 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
     command = any_count(earlier["command"])
     if any_count(new["command"]) != command:
         raise ValueError(f"{runs[0]} must have the command of the record: {earlier['command']}")
-    if new["env_steps"] != earlier["env_steps"]:
-        raise ValueError(f"{runs[0]} was not evaluated at the steps of the record")
     seeds = recorded_seeds(earlier), recorded_seeds(new)
     twice = sorted(set(seeds[0]) & set(seeds[1]))
     if twice:
         raise ValueError(f"seed {twice[0]} is in the record already")
     return {
         **earlier,
-        **_join(earlier, new),
+        **_join(earlier, new, str(runs[0])),
         "command": _name_seeds(command, new, [*seeds[0], *seeds[1]]),
         **{
             f"{name}s": of_each_seed(earlier, name) + of_each_seed(new, name)
@@ -113,9 +102,37 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
     }
 
 
-def _join(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
-    """Put what `second` has of each seed behind that of `first`."""
-    return {name: first[name] + second[name] for name in PER_SEED}
+def _join(first: dict[str, Any], second: dict[str, Any], name: str) -> dict[str, Any]:
+    """Put what `second` has of each seed behind that of `first`.
+
+    A seed may have fewer evaluations than others if it had no reward in half of the steps.
+
+    Raises:
+        ValueError: a seed was not evaluated at the steps of the others; `name` is that of `second`.
+    """
+    steps = max(first["env_steps"], second["env_steps"], key=len)
+    for part in (first, second):
+        own = part["env_steps"]
+        may_end = own == steps or (2 * own[-1] >= steps[-1] and not had_reward(part))
+        if own != steps[: len(own)] or not may_end:
+            raise ValueError(
+                f"{name} was not evaluated at the steps of the others: finish all with --resume"
+            )
+    return {"env_steps": steps, **{name: first[name] + second[name] for name in PER_SEED}}
+
+
+def had_reward(record: dict[str, Any]) -> bool:
+    """Return whether a seed of a record had any reward, in training or evaluation."""
+    training = (means.get("team_reward", []) for means in record["training_means"])
+    return any(x for values in (*record["values"], *training) for x in values)
+
+
+def stopped(record: dict[str, Any]) -> str:
+    """Return how many seeds of a record were stopped without reward, for behind their number."""
+    config, steps = record["config"], record["env_steps"]
+    last = config["total_env_steps"] - config["eval_interval"]
+    count = sum(not any(x) and steps[len(x) - 1] <= last for x in record["values"])
+    return f", {count} stopped" if count else ""
 
 
 def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:

@@ -85,6 +85,15 @@ def test_draws_a_result_beside_another(tmp_path, monkeypatch, metric, scale, lab
     assert legends == [["hmasd (2 seeds)", "paper", label], ["hmasd (1 seed)"]]
 
 
+def test_a_seed_that_was_stopped_keeps_its_last_value(tmp_path):
+    result = tmp_path / "mat.json"
+    result.write_text(json.dumps({"env_steps": [0, 10, 20], "values": [[0.0, 0.5, 1.0], [0.25]]}))
+    label, (whole, stopped) = plot.recorded_curves(result)
+    assert label == "mat (2 seeds)"
+    np.testing.assert_array_equal(whole, ([0, 10, 20], [0.0, 0.5, 1.0]))
+    np.testing.assert_array_equal(stopped, ([0, 10, 20], [0.25, 0.25, 0.25]))
+
+
 def test_labels_are_algorithms_only_if_they_differ(tmp_path):
     tables = [{"algorithm": {"name": name}} for name in ("hmasd", "mappo")]
     runs = [tmp_path / "a", tmp_path / "b"]

@@ -13,6 +13,7 @@ from scripts import (
     run_records,
     tactics,
 )
+from scripts.paper import final_scores
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -75,10 +76,18 @@ def test_record_of_a_run(run):
 def test_an_unfinished_run_is_not_recorded(tmp_path, run):
     with pytest.raises(ValueError, match="must be the folder of a run"):
         run_records.record(tmp_path)
-    metrics = run / "seed_1" / "metrics.jsonl"
-    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
+    shorten(run / "seed_1")
     with pytest.raises(ValueError, match=r"seed 1 .* --resume"):
         run_records.record(run)
+    (run / "seed_0" / "metrics.jsonl").write_text("")
+    with pytest.raises(ValueError, match=r"seed 0 .* no evaluation.* --resume"):
+        run_records.record(run)
+
+
+def shorten(seed):
+    """Remove the last evaluation and the training behind it from the folder of a seed."""
+    metrics = seed / "metrics.jsonl"
+    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
 
 
 def test_results_go_to_the_folder_of_a_task(tmp_path, run):
@@ -116,10 +125,48 @@ def test_runs_of_different_commands_or_commits_are_not_recorded_as_one(seed_runs
 
 
 def test_runs_that_ended_at_different_steps_are_not_recorded_as_one(seed_runs):
-    metrics = seed_runs[1] / "seed_1" / "metrics.jsonl"
-    metrics.write_text("".join(metrics.read_text().splitlines(keepends=True)[:-2]))
-    with pytest.raises(ValueError, match="run_1 was not evaluated at the steps of"):
+    shorten(seed_runs[1] / "seed_1")
+    with pytest.raises(ValueError, match="run_1 was not evaluated at the steps of the others"):
         run_records.record_together(seed_runs)
+
+
+@pytest.fixture
+def stopped_run(tmp_path):
+    """A run folder of two seeds, of which the second was stopped without reward."""
+    folder = write_run(tmp_path / "run", [[0.0, 0.0, 0.5, 1.0], [0.0, 0.0, 0.0]])
+    (folder / "run.json").write_text(json.dumps({"command": ["python", "x"], "commit": "abc"}))
+    (folder / "config.json").write_text(
+        json.dumps({"total_env_steps": STEPS[-1], "eval_interval": STEPS[1]})
+    )
+    return folder
+
+
+def test_a_seed_that_was_stopped_without_reward_is_recorded(stopped_run):
+    kept = run_records.record(stopped_run)
+    assert kept["env_steps"] == STEPS
+    assert kept["values"] == [[0.0, 0.0, 0.5, 1.0], [0.0, 0.0, 0.0]]
+    assert run_records.stopped(kept) == ", 1 stopped"
+    shorten(stopped_run / "seed_1")
+    with pytest.raises(ValueError, match=r"seed 1 .* was not evaluated at the steps of the others"):
+        run_records.record(stopped_run)
+
+
+def test_only_seeds_without_reward_count_as_stopped(stopped_run):
+    kept = run_records.record(stopped_run)
+    assert run_records.stopped(kept | {"values": [[0.0] * 4, [0.5, 0.0]]}) == ""
+
+
+def test_a_seed_that_was_stopped_with_reward_is_not_recorded(stopped_run):
+    with (stopped_run / "seed_1" / "metrics.jsonl").open("a") as metrics:
+        entry = {"kind": "train", "seed": 1, "env_steps": 200, "wall_seconds": 1.0}
+        metrics.write(json.dumps(entry | {"team_reward": 0.001}) + "\n")
+    with pytest.raises(ValueError, match=r"seed 1 .* was not evaluated at the steps of the others"):
+        run_records.record(stopped_run)
+
+
+def test_a_stopped_seed_scores_what_it_had():
+    record = {"metric": "success", "values": [[0.0, *[1.0] * 5], [0.0] * 5]}
+    assert final_scores(record).tolist() == [100.0, 0.0]
 
 
 def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
@@ -134,7 +181,7 @@ def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
     assert (len(both["training_means"]), len(both["wall_seconds"])) == (2, 2)
     with pytest.raises(ValueError, match="seed 1 is in the record already"):
         run_records.add_seeds(both, seed_runs[1:])
-    with pytest.raises(ValueError, match="was not evaluated at the steps of the record"):
+    with pytest.raises(ValueError, match="was not evaluated at the steps of the others"):
         run_records.add_seeds(first | {"env_steps": [0]}, seed_runs[1:])
     with pytest.raises(ValueError, match="run_1 must have the command of the record"):
         run_records.add_seeds(first | {"command": "python y"}, seed_runs[1:])

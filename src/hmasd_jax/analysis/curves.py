@@ -114,7 +114,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
 
     Args:
         result: JSON file with `metric`, `env_steps` (evaluations) and `values`
-            (seeds, evaluations).
+            (seeds, evaluations). A seed may have fewer evaluations than others.
         out: Image to write. Its suffix selects the format.
         reference: Numbers to draw beside it, in the units of the metric.
 
@@ -137,10 +137,16 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
 
 
 def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
-    """Return the label and the curves of a recorded result, one curve per seed."""
+    """Return the label and the curves of a recorded result, one curve per seed.
+
+    A seed that was stopped keeps its last value.
+    """
     record = json.loads(Path(result).read_text())
     steps = np.asarray(record["env_steps"], float)
-    curves = [(steps, np.asarray(values, float)) for values in record["values"]]
+    curves = [
+        (steps, np.pad(np.asarray(values, float), (0, len(steps) - len(values)), "edge"))
+        for values in record["values"]
+    ]
     seeds = "1 seed" if len(curves) == 1 else f"{len(curves)} seeds"
     return f"{Path(result).stem} ({seeds})", curves
 
