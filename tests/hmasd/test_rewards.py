@@ -27,6 +27,12 @@ def test_eq_4_by_hand():
     assert_allclose(reward, [[99.3, 97.8], [-0.1, -1.1]], rtol=1e-6)
 
 
+def test_the_weight_of_skills_leaves_the_team_reward_as_it_is():
+    inputs = jnp.array([1.0]), jnp.array([-2.0]), jnp.array([[-1.0, -4.0]])
+    reward = low_level_reward(*inputs, HMASDConfig(**COEFFICIENTS), skill_weight=3.0)
+    assert_allclose(reward, [[100 - 0.6 - 1.5, 100 - 0.6 - 6.0]], rtol=1e-6)
+
+
 def test_with_the_prior_a_useless_discriminator_pays_nothing_and_a_perfect_one_log_n():
     config = HMASDConfig(num_team_skills=2, num_skills=4, skill_prior=True, **COEFFICIENTS)
     uniform = low_level_reward(

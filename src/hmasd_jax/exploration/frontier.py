@@ -133,12 +133,24 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy)
+    def solved(frontier: Frontier):
+        return share_of_best(frontier) ** num_envs
+
+    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy, solved)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:
     """Return the share of recent episodes that no reward ended."""
     return 1.0 - frontier.successes / jnp.maximum(frontier.episodes, 1.0)
+
+
+def share_of_best(frontier: Frontier) -> Float[Array, ""]:
+    """Return the mean return of recent episodes in units of the best so far, which is at least 1.
+
+    It is the share of recent successes where the only reward of an episode is 1.
+    """
+    mean_return = frontier.returns / jnp.maximum(frontier.episodes, 1.0)
+    return jnp.clip(mean_return / frontier.best_return, 0.0, 1.0)
 
 
 def explore(

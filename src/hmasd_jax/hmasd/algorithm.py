@@ -123,9 +123,12 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
         state.discriminators.params, parts.discriminators, pairs
     )
     team_reward = rollout.transitions.outcome.reward
-    reward = low_level_reward(team_reward.reshape(-1), log_q_team, log_q_individual, parts.config)
+    weight = skill_weight(parts, state, team_reward)
+    reward = low_level_reward(
+        team_reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
+    )
     bonus_state, extra_reward, bonus_metrics = exploration_reward(
-        parts, state, rollout, key_beside(key, 1)
+        parts, state, rollout, key_beside(key, 1), weight
     )
     reward = reward.reshape(*team_reward.shape, -1) + extra_reward
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
@@ -162,17 +165,43 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
 
 
 def exploration_reward(
-    parts: Parts, state: HMASDState, rollout: Rollout, key: Key
+    parts: Parts,
+    state: HMASDState,
+    rollout: Rollout,
+    key: Key,
+    weight: float | Float[Array, ""],
 ) -> tuple[Any, Float[Array, "T E N"], Metrics]:
     """Return the next state of the bonus, the rewards beside Eq. 4, and metrics.
 
-    The rewards are distance along the skills, and the bonus.
+    The rewards are distance along the skills, times their `weight`, and the bonus.
     """
     outcome = rollout.transitions.outcome
     team, individual, metrics = parts.distance.reward(state.distance, skill_steps(rollout))
     bonus_state, bonus, bonus_metrics = parts.bonus.update(state.bonus, outcome, key)
-    distance = (individual + team[:, None]).reshape(*bonus.shape, -1)
+    distance = weight * (individual + team[:, None]).reshape(*bonus.shape, -1)
     return bonus_state, distance + bonus[..., None], metrics | bonus_metrics
+
+
+def skill_weight(
+    parts: Parts, state: HMASDState, team_reward: Float[Array, "T E"]
+) -> float | Float[Array, ""]:
+    """Return the factor of the rewards for skills.
+
+    Rewards for skills are noise to a team that has yet to solve its task. A team that solves it can
+    afford them: skills become different ways to solve it, instead of none. SMERL pays skills in
+    nearly optimal episodes only, for the same end (Kumar et al., NeurIPS 2020).
+    """
+    config = parts.config
+    if config.solved_gain == 0:
+        return 1.0
+    earned = config.extrinsic_coef * team_reward.mean()
+    return 1.0 + config.solved_gain * parts.bonus.solved(state.bonus) * earned
+
+
+def high_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
+    """Return lambda_h, which may rise once the task is solved."""
+    config = parts.config
+    return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(state.bonus)
 
 
 def low_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
@@ -189,9 +218,10 @@ def train_coordinator(
     parts: Parts, state: HMASDState, batch: HighBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 6 for the configured epochs."""
+    entropy_coef = high_entropy_coef(parts, state)
 
     def loss_fn(params, norm, batch):
-        return coordinator_loss(params, parts.coordinator, norm, batch, parts.config)
+        return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
     return ppo_epochs(
         parts.coordinator_optimizer, loss_fn, state.coordinator, state.coordinator_norm,

@@ -80,6 +80,12 @@ class HMASDConfig:
     skill_prior: bool = False
     """If True, subtract log p of a uniform prior from the intrinsic rewards, like Eq. 1 and unlike
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
+    solved_gain: float = 0.0
+    """Weight that the rewards for skills gain once the team solves its task, in units of
+    lambda_e times the mean team reward of a step, so that skills become different ways to solve
+    it. Needs the `frontier`, which knows how well the team does. The paper has none."""
+    solved_entropy_coef: float = 0.0
+    """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
@@ -101,6 +107,13 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
+        check_range(self, "solved_gain", "solved_entropy_coef", low=0)
+        for name in ("solved_gain", "solved_entropy_coef"):
+            if getattr(self, name) > 0 and self.frontier.coef == 0:
+                raise ValueError(
+                    f"{name} {getattr(self, name)} needs frontier.coef above 0: the frontier knows "
+                    "when the task is solved"
+                )
         check_indices(self, "discriminator_obs")
         if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:
             raise ValueError(

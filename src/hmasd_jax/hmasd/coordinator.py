@@ -137,15 +137,23 @@ def assign(
 
 
 def coordinator_loss(
-    params: dict, network: Coordinator, norm: ValueNorm, batch: HighBatch, config: HMASDConfig
+    params: dict,
+    network: Coordinator,
+    norm: ValueNorm,
+    batch: HighBatch,
+    config: HMASDConfig,
+    entropy_coef: float | Float[Array, ""] | None = None,
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 6: L_h = L_PPO{pi_h(Z), V_h(s)} + sum_i L_PPO{pi_h(z^i), V_h(o^i)} - lambda_h H.
 
     pi_h(Z|s, o) and pi_h(z^i|s, o, Z, z^{<i}) both receive the reward r^h. H sums their entropies.
 
     Every token has its own ratio, clip, advantage and value. The sum over tokens is a mean, like in
-    the authors' code; the weights are equal either way.
+    the authors' code; the weights are equal either way. `entropy_coef` overrides lambda_h of the
+    configuration.
     """
+    if entropy_coef is None:
+        entropy_coef = config.high_entropy_coef
     skills = batch.assignment.skills
     logits, value = apply(network, params, batch.state, batch.obs, skills)
     distribution = categorical(logits)
@@ -160,4 +168,4 @@ def coordinator_loss(
     )
     entropy = jnp.asarray(distribution.entropy())
     metrics |= {"team_entropy": entropy[..., 0].mean(), "skill_entropy": entropy[..., 1:].mean()}
-    return loss - config.high_entropy_coef * entropy.mean(), metrics
+    return loss - entropy_coef * entropy.mean(), metrics

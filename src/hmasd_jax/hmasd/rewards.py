@@ -12,6 +12,7 @@ def low_level_reward(
     log_q_team: Float[Array, "*batch"],
     log_q_individual: Float[Array, "*batch N"],
     config: HMASDConfig,
+    skill_weight: float | Float[Array, ""] = 1.0,
 ) -> Float[Array, "*batch N"]:
     """Eq. 4: r^i = lambda_e r + lambda_D log q_D(Z|s') + lambda_d log q_d(z^i|o^i', Z).
 
@@ -23,12 +24,15 @@ def low_level_reward(
         log_q_individual: log q_d of each agent's skill in use.
         config: the three coefficients. With `skill_prior`, log p of a uniform prior is subtracted
             from each log q, so that a useless discriminator pays 0.
+        skill_weight: factor of lambda_D and lambda_d.
     """
     if config.skill_prior:
         log_q_team = log_q_team + jnp.log(config.num_team_skills)
         log_q_individual = log_q_individual + jnp.log(config.num_skills)
-    shared = config.extrinsic_coef * reward + config.team_intrinsic_coef * log_q_team
-    return shared[..., None] + config.individual_intrinsic_coef * log_q_individual
+    team_coef = skill_weight * config.team_intrinsic_coef
+    individual_coef = skill_weight * config.individual_intrinsic_coef
+    shared = config.extrinsic_coef * reward + team_coef * log_q_team
+    return shared[..., None] + individual_coef * log_q_individual
 
 
 def high_level_reward(
