@@ -55,6 +55,7 @@ def test_skills_gain_weight_with_what_a_solved_task_pays(parts):
     state = SimpleNamespace(bonus=jnp.float32(0.5))
     team_reward = jnp.array([[0.0, 1.0], [0.0, 0.0]])
     assert_allclose(algorithm.skill_weight(parts, state, team_reward), 4.0)
+    assert_allclose(algorithm.skill_weight(parts, state, -team_reward), 1.0)
     assert_allclose(algorithm.high_entropy_coef(parts, state), 0.3)
 
 

@@ -194,7 +194,7 @@ def skill_weight(
     config = parts.config
     if config.solved_gain == 0:
         return 1.0
-    earned = config.extrinsic_coef * team_reward.mean()
+    earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
     return 1.0 + config.solved_gain * parts.bonus.solved(state.bonus) * earned
 
 
