@@ -59,6 +59,15 @@ def test_skills_gain_weight_with_what_a_solved_task_pays(parts):
     assert_allclose(algorithm.high_entropy_coef(parts, state), 0.3)
 
 
+def test_without_the_settings_nothing_is_traced(parts):
+    """A constant that becomes traced rounds the whole update differently."""
+    config = replace(parts.config, frontier=FrontierConfig(coef=1.0))
+    parts = replace(parts, config=config, bonus=parts.bonus._replace(solved=lambda share: share))
+    state = SimpleNamespace(bonus=jnp.float32(0.5))
+    assert type(algorithm.skill_weight(parts, state, jnp.ones((2, 2)))) is float
+    assert type(algorithm.high_entropy_coef(parts, state)) is float
+
+
 @pytest.mark.parametrize("name", ["solved_gain", "solved_entropy_coef"])
 def test_what_rises_on_solved_tasks_needs_to_know_them(config, name):
     with pytest.raises(ValueError, match=rf"{name} 2.0 needs frontier.coef above 0"):

@@ -201,6 +201,8 @@ def skill_weight(
 def high_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
     """Return lambda_h, which may rise once the task is solved."""
     config = parts.config
+    if config.solved_entropy_coef == 0:
+        return config.high_entropy_coef
     return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(state.bonus)
 
 
