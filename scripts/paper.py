@@ -101,4 +101,4 @@ def summarize_record(record: dict[str, Any], task: Task) -> Summary:
 def final_scores(record: dict[str, Any]) -> np.ndarray:
     """Return the score of each seed of a record, (seeds,): the mean of its last evaluations."""
     scale = 100 if record["metric"] == "success" else 1
-    return scale * np.concatenate([last_evaluations([x], LAST) for x in record["values"]])
+    return scale * last_evaluations(record["values"], LAST)

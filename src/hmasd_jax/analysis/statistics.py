@@ -3,7 +3,7 @@
 `values` has one row per seed and one column per evaluation. `scores` has one number per seed.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple, TypedDict
 
 import numpy as np
@@ -153,16 +153,19 @@ def mean_interval(values: ArrayLike, seed: int = 0) -> tuple[Array, Array]:
     return bootstrap_interval([values], lambda groups: groups[0].mean(axis=0), rng)
 
 
-def last_evaluations(values: ArrayLike, count: int) -> Array:
+def last_evaluations(values: Iterable[ArrayLike], count: int) -> Array:
     """Return one score per seed, the mean of its last `count` evaluations.
 
+    Seeds may have different numbers of evaluations.
+
     Raises:
-        ValueError: There are fewer evaluations.
+        ValueError: A seed has fewer evaluations.
     """
-    values = np.asarray(values, float)
-    if not 1 <= count <= values.shape[1]:
-        raise ValueError(f"cannot take the last {count} of {values.shape[1]} evaluations")
-    return values[:, -count:].mean(axis=1)
+    rows = [np.asarray(row, float) for row in values]
+    fewest = min(map(len, rows))
+    if not 1 <= count <= fewest:
+        raise ValueError(f"cannot take the last {count} of {fewest} evaluations")
+    return np.stack([row[-count:] for row in rows]).mean(axis=1)
 
 
 def fraction_above(scores: ArrayLike, threshold: float) -> float:

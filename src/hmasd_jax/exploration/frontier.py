@@ -141,7 +141,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:
     """Return the share of recent episodes that no reward ended."""
-    return 1.0 - frontier.successes / jnp.maximum(frontier.episodes, 1.0)
+    return 1.0 - per_episode(frontier.successes, frontier.episodes)
 
 
 def share_of_best(frontier: Frontier) -> Float[Array, ""]:
@@ -149,8 +149,15 @@ def share_of_best(frontier: Frontier) -> Float[Array, ""]:
 
     It is the share of recent successes where the only reward of an episode is 1.
     """
-    mean_return = frontier.returns / jnp.maximum(frontier.episodes, 1.0)
+    mean_return = per_episode(frontier.returns, frontier.episodes)
     return jnp.clip(mean_return / frontier.best_return, 0.0, 1.0)
+
+
+def per_episode(
+    total: Float[Array, "*batch"], episodes: Float[Array, ""]
+) -> Float[Array, "*batch"]:
+    """Return the mean over episodes, of which there may be none yet."""
+    return total / jnp.maximum(episodes, 1.0)
 
 
 def explore(
@@ -181,8 +188,8 @@ def explore(
     reached = frontier.reached * keep + is_first.sum((0, 1))
     episodes = frontier.episodes * keep + outcome.done.sum()
     returns = frontier.returns * keep + outcome.reward.sum()
-    best_return = jnp.maximum(frontier.best_return, returns / jnp.maximum(episodes, 1.0))
-    share = jnp.minimum(reached / jnp.maximum(episodes, 1.0), 1.0)
+    best_return = jnp.maximum(frontier.best_return, per_episode(returns, episodes))
+    share = jnp.minimum(per_episode(reached, episodes), 1.0)
     frontier = frontier._replace(
         reached=reached,
         episodes=episodes,

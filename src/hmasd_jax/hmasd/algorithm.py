@@ -122,15 +122,9 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )
-    team_reward = rollout.transitions.outcome.reward
-    weight = skill_weight(parts, state, team_reward)
-    reward = low_level_reward(
-        team_reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
+    bonus_state, reward, bonus_metrics = all_rewards(
+        parts, state, rollout, log_q_team, log_q_individual, key_beside(key, 1)
     )
-    bonus_state, extra_reward, bonus_metrics = exploration_reward(
-        parts, state, rollout, key_beside(key, 1), weight
-    )
-    reward = reward.reshape(*team_reward.shape, -1) + extra_reward
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
@@ -164,22 +158,27 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     return next_state, metrics
 
 
-def exploration_reward(
+def all_rewards(
     parts: Parts,
     state: HMASDState,
     rollout: Rollout,
+    log_q_team: Float[Array, " B"],
+    log_q_individual: Float[Array, "B N"],
     key: Key,
-    weight: float | Float[Array, ""],
 ) -> tuple[Any, Float[Array, "T E N"], Metrics]:
-    """Return the next state of the bonus, the rewards beside Eq. 4, and metrics.
+    """Return the next state of the bonus, the rewards of the low level, and metrics.
 
-    The rewards are distance along the skills, times their `weight`, and the bonus.
+    The rewards are Eq. 4, distance along the skills, and the bonus. B counts the T * E steps.
     """
     outcome = rollout.transitions.outcome
+    weight = skill_weight(parts, state, outcome.reward)
+    reward = low_level_reward(
+        outcome.reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
+    ).reshape(*outcome.reward.shape, -1)
     team, individual, metrics = parts.distance.reward(state.distance, skill_steps(rollout))
     bonus_state, bonus, bonus_metrics = parts.bonus.update(state.bonus, outcome, key)
     distance = weight * (individual + team[:, None]).reshape(*bonus.shape, -1)
-    return bonus_state, distance + bonus[..., None], metrics | bonus_metrics
+    return bonus_state, reward + (distance + bonus[..., None]), metrics | bonus_metrics
 
 
 def skill_weight(
