@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +13,7 @@ from numpy.testing import assert_allclose
 from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
-from hmasd_jax.hmasd.algorithm import low_entropy_coef, make_hmasd
+from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
@@ -220,27 +219,6 @@ EVERY_PART = {
 def test_no_key_is_used_twice(parts, optional):
     config = replace(parts.config, **optional)
     assert_no_key_is_used_twice(make_hmasd(parts.env, config), config.ppo.num_envs)
-
-
-def entropy_weight(parts, num_updates, bonus_state=(), **changes):
-    """Return lambda_l after a number of updates, with other settings."""
-    parts = replace(parts, config=replace(parts.config, low_entropy_coef=0.4, **changes))
-    return low_entropy_coef(
-        parts, SimpleNamespace(num_updates=jnp.int32(num_updates), bonus=bonus_state)
-    )
-
-
-def test_the_low_entropy_weight_can_fall_linearly_to_zero(parts):
-    values = [entropy_weight(parts, n, low_entropy_decay_updates=4) for n in (0, 1, 3, 4, 9)]
-    assert_allclose(values, [0.4, 0.3, 0.1, 0.0, 0.0], atol=1e-6)
-    assert entropy_weight(parts, 9, low_entropy_decay_updates=0) == 0.4
-
-
-def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
-    counting = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda share: share))
-    assert_allclose(entropy_weight(counting, 9, jnp.float32(0.25)), 0.1)
-    half = entropy_weight(counting, 2, jnp.float32(0.25), low_entropy_decay_updates=4)
-    assert_allclose(half, 0.05)
 
 
 def test_a_rollout_must_be_a_whole_number_of_segments(config):

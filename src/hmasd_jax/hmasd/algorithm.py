@@ -9,6 +9,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
+from hmasd_jax.hmasd.coefficients import high_entropy_coef, low_entropy_coef, skill_weight
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
@@ -171,7 +172,7 @@ def all_rewards(
     The rewards are Eq. 4, distance along the skills, and the bonus. B counts the T * E steps.
     """
     outcome = rollout.transitions.outcome
-    weight = skill_weight(parts, state, outcome.reward)
+    weight = skill_weight(parts, state.bonus, outcome.reward, log_q_individual)
     reward = low_level_reward(
         outcome.reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
     ).reshape(*outcome.reward.shape, -1)
@@ -181,45 +182,11 @@ def all_rewards(
     return bonus_state, reward + (distance + bonus[..., None]), metrics | bonus_metrics
 
 
-def skill_weight(
-    parts: Parts, state: HMASDState, team_reward: Float[Array, "T E"]
-) -> float | Float[Array, ""]:
-    """Return the factor of the rewards for skills.
-
-    Rewards for skills are noise to a team that has yet to solve its task. A team that solves it can
-    afford them: skills become different ways to solve it, instead of none. SMERL pays skills in
-    nearly optimal episodes only, for the same end (Kumar et al., NeurIPS 2020).
-    """
-    config = parts.config
-    if config.solved_gain == 0:
-        return 1.0
-    earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
-    return 1.0 + config.solved_gain * parts.bonus.solved(state.bonus) * earned
-
-
-def high_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
-    """Return lambda_h, which may rise once the task is solved."""
-    config = parts.config
-    if config.solved_entropy_coef == 0:
-        return config.high_entropy_coef
-    return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(state.bonus)
-
-
-def low_entropy_coef(parts: Parts, state: HMASDState) -> float | Float[Array, ""]:
-    """Return lambda_l, which may fall with the updates and with the weight of the bonus."""
-    config = parts.config
-    coef = config.low_entropy_coef * parts.bonus.entropy_weight(state.bonus)
-    if not config.low_entropy_decay_updates:
-        return coef
-    remaining = 1.0 - state.num_updates / config.low_entropy_decay_updates
-    return coef * jnp.maximum(remaining, 0.0)
-
-
 def train_coordinator(
     parts: Parts, state: HMASDState, batch: HighBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 6 for the configured epochs."""
-    entropy_coef = high_entropy_coef(parts, state)
+    entropy_coef = high_entropy_coef(parts, state.bonus)
 
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
@@ -234,7 +201,7 @@ def train_discoverer(
     parts: Parts, state: HMASDState, batch: SequenceBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 7 for the configured epochs."""
-    entropy_coef = low_entropy_coef(parts, state)
+    entropy_coef = low_entropy_coef(parts, state.bonus, state.num_updates)
 
     def loss_fn(params, norm, batch):
         return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)

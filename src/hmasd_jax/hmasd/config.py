@@ -82,8 +82,9 @@ class HMASDConfig:
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
     solved_gain: float = 0.0
     """Weight that the rewards for skills gain once the team solves its task, in units of
-    lambda_e times the mean team reward of a step, so that skills become different ways to solve
-    it. Needs the `frontier`, which knows how well the team does. The paper has none."""
+    lambda_e times the mean team reward of a step and of what q_d does not know yet, so that skills
+    become different ways to solve it. Needs the `frontier`, which knows how well the team does. The
+    paper has none."""
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
@@ -114,6 +115,11 @@ class HMASDConfig:
                     f"{name} {getattr(self, name)} needs frontier.coef above 0: the frontier knows "
                     "when the task is solved"
                 )
+        if self.solved_gain > 0 and self.extrinsic_coef == 0:
+            raise ValueError(
+                f"solved_gain {self.solved_gain} needs extrinsic_coef above 0: the gain is in "
+                "units of what it pays"
+            )
         check_indices(self, "discriminator_obs")
         if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:
             raise ValueError(

@@ -1,0 +1,68 @@
+"""Coefficients of Eqs. 4, 6 and 7 that change in training. The paper keeps them constant.
+
+Each function returns a constant of Python where its settings leave the coefficient constant. A
+traced number would round the whole update differently.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int
+
+from hmasd_jax.hmasd.components import Parts
+
+
+def skill_weight(
+    parts: Parts,
+    bonus_state: Any,
+    team_reward: Float[Array, "T E"],
+    log_q_individual: Float[Array, "B N"],
+) -> float | Float[Array, ""]:
+    """Return the factor of the rewards for skills.
+
+    Rewards for skills are noise to a team that has yet to solve its task. A team that solves it can
+    afford them: skills become different ways to solve it, instead of none. SMERL pays skills in
+    nearly optimal episodes only, for the same end (Kumar et al., NeurIPS 2020). Skills that can be
+    told apart already gain no more weight.
+
+    Args:
+        parts: static components.
+        bonus_state: state of the bonus, which knows how well the team does.
+        team_reward: team reward of every step of the rollout.
+        log_q_individual: log q_d of each agent's skill in use, over all B = T E steps.
+    """
+    config = parts.config
+    if config.solved_gain == 0:
+        return 1.0
+    earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
+    unknown = unknown_share(log_q_individual, config.num_skills)
+    return 1.0 + config.solved_gain * parts.bonus.solved(bonus_state) * earned * unknown
+
+
+def unknown_share(log_q: Float[Array, "*batch"], num_skills: int) -> Float[Array, ""]:
+    """Return the part of a uniform choice of skills that q does not know, in [0, 1].
+
+    It is the cross-entropy of q in units of ln n_z: 1 for a q that cannot tell skills apart, 0 for
+    one that always can, and 0 for a single skill.
+    """
+    return jnp.clip(-log_q.mean() / jnp.log(max(num_skills, 2)), 0.0, 1.0)
+
+
+def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return lambda_h, which may rise once the task is solved."""
+    config = parts.config
+    if config.solved_entropy_coef == 0:
+        return config.high_entropy_coef
+    return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(bonus_state)
+
+
+def low_entropy_coef(
+    parts: Parts, bonus_state: Any, num_updates: Int[Array, ""]
+) -> float | Float[Array, ""]:
+    """Return lambda_l, which may fall with the updates and with the weight of the bonus."""
+    config = parts.config
+    coef = config.low_entropy_coef * parts.bonus.entropy_weight(bonus_state)
+    if not config.low_entropy_decay_updates:
+        return coef
+    remaining = 1.0 - num_updates / config.low_entropy_decay_updates
+    return coef * jnp.maximum(remaining, 0.0)

@@ -1,0 +1,122 @@
+"""Coefficients that change: skills gain weight once the task is solved, entropy loses it."""
+
+from dataclasses import replace
+
+import chex
+import jax
+import jax.numpy as jnp
+import pytest
+from numpy.testing import assert_allclose
+
+from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.hmasd import algorithm
+from hmasd_jax.hmasd.coefficients import (
+    high_entropy_coef,
+    low_entropy_coef,
+    skill_weight,
+    unknown_share,
+)
+from hmasd_jax.hmasd.components import make_parts
+from hmasd_jax.hmasd.distance import DistanceConfig
+
+
+def test_a_solved_task_raises_all_that_keeps_skills_apart(parts, monkeypatch):
+    """A weight of 3 trains like three times the rewards for skills and lambda_h."""
+
+    def update(scale, weight):
+        config = replace(
+            parts.config,
+            high_entropy_coef=scale * 0.1,
+            team_intrinsic_coef=scale * 0.2,
+            individual_intrinsic_coef=scale * 0.3,
+            distance=DistanceConfig(scale * 0.4, scale * 0.5, epochs=1),
+            extrinsic_coef=7.0,
+        )
+        monkeypatch.setattr(algorithm, "skill_weight", lambda *_: weight)
+        monkeypatch.setattr(algorithm, "high_entropy_coef", lambda *_: weight * scale * 0.1)
+        changed = make_parts(parts.env, config)
+        state = algorithm.init_state(changed, jax.random.key(0))
+        state, _ = jax.jit(lambda state: algorithm.train_iteration(changed, state))(state)
+        return state.coordinator.params, state.discoverer.params, state.distance
+
+    raised, scaled, plain = update(1.0, 3.0), update(3.0, 1.0), update(1.0, 1.0)
+    chex.assert_trees_all_close(raised, scaled, rtol=1e-4, atol=1e-5)
+    for raised_level, plain_level in zip(raised[:2], plain[:2]):
+        with pytest.raises(AssertionError):
+            chex.assert_trees_all_close(raised_level, plain_level, rtol=0, atol=1e-3)
+
+
+@pytest.fixture
+def half_solved(parts):
+    """Parts whose bonus state is the chance to be at the best, and that state: one half."""
+    config = replace(
+        parts.config, extrinsic_coef=8.0, high_entropy_coef=0.1, frontier=FrontierConfig(coef=1.0),
+        num_skills=4, solved_gain=3.0, solved_entropy_coef=0.4,
+    )  # fmt: skip
+    bonus = parts.bonus._replace(solved=lambda share: share)
+    return replace(parts, config=config, bonus=bonus), jnp.float32(0.5)
+
+
+def test_skills_gain_weight_with_what_a_solved_task_pays(half_solved):
+    """Half of the chance to be at the best, at 0.25 a step and lambda_e 8: 1 + 3 x 0.5 x 2."""
+    team_reward = jnp.array([[0.0, 1.0], [0.0, 0.0]])
+    unknown = jnp.full((4, 2), -jnp.log(4.0))
+    assert_allclose(skill_weight(*half_solved, team_reward, unknown), 4.0)
+    assert_allclose(skill_weight(*half_solved, -team_reward, unknown), 1.0)
+    assert_allclose(high_entropy_coef(*half_solved), 0.3)
+
+
+def test_skills_gain_weight_by_what_q_d_does_not_know(half_solved):
+    """q_d gives one skill of two agents for sure and knows nothing of the other's: a half."""
+    team_reward = jnp.array([[0.0, 1.0], [0.0, 0.0]])
+    log_q = jnp.tile(jnp.log(jnp.array([1.0, 0.25])), (4, 1))
+    assert_allclose(skill_weight(*half_solved, team_reward, log_q), 1 + 3 / 2)
+    assert_allclose(skill_weight(*half_solved, team_reward, jnp.zeros((4, 2))), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("q", "num_skills", "expected"),
+    [(0.25, 4, 1.0), (0.5, 4, 0.5), (1.0, 4, 0.0), (0.01, 4, 1.0), (1.0, 1, 0.0)],
+)
+def test_what_q_knows_is_measured_against_chance(q, num_skills, expected):
+    """A q that is sure of the wrong skill knows nothing, and no less."""
+    assert_allclose(unknown_share(jnp.log(jnp.full((3, 2), q)), num_skills), expected, atol=1e-6)
+
+
+def test_without_the_settings_nothing_is_traced(half_solved):
+    """A constant that becomes traced rounds the whole update differently."""
+    parts, state = half_solved
+    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
+    parts = replace(parts, config=config)
+    assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
+    assert type(high_entropy_coef(parts, state)) is float
+
+
+def entropy_weight(parts, num_updates, bonus_state=(), **changes):
+    """Return lambda_l after a number of updates, with other settings."""
+    parts = replace(parts, config=replace(parts.config, low_entropy_coef=0.4, **changes))
+    return low_entropy_coef(parts, bonus_state, jnp.int32(num_updates))
+
+
+def test_the_low_entropy_weight_can_fall_linearly_to_zero(parts):
+    values = [entropy_weight(parts, n, low_entropy_decay_updates=4) for n in (0, 1, 3, 4, 9)]
+    assert_allclose(values, [0.4, 0.3, 0.1, 0.0, 0.0], atol=1e-6)
+    assert entropy_weight(parts, 9, low_entropy_decay_updates=0) == 0.4
+
+
+def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
+    counting = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda share: share))
+    assert_allclose(entropy_weight(counting, 9, jnp.float32(0.25)), 0.1)
+    half = entropy_weight(counting, 2, jnp.float32(0.25), low_entropy_decay_updates=4)
+    assert_allclose(half, 0.05)
+
+
+@pytest.mark.parametrize("name", ["solved_gain", "solved_entropy_coef"])
+def test_what_rises_on_solved_tasks_needs_to_know_them(config, name):
+    with pytest.raises(ValueError, match=rf"{name} 2.0 needs frontier.coef above 0"):
+        replace(config, **{name: 2.0})
+
+
+def test_a_gain_needs_what_it_is_measured_by(config):
+    with pytest.raises(ValueError, match=r"solved_gain 2.0 needs extrinsic_coef above 0"):
+        replace(config, solved_gain=2.0, frontier=FrontierConfig(coef=1.0), extrinsic_coef=0.0)
