@@ -1,0 +1,117 @@
+"""Record which level of an HMASD team breaks in the updates after a checkpoint.
+
+python scripts/replay_updates.py RUN OUT --seed 3 --step 1440000
+
+The updates run again from the checkpoint, bit for bit as in training. OUT (JSON) gets one row per
+update: the success of sampled play with both levels as they are then, with only the coordinator of
+then and the discoverer of the checkpoint, and the other way round; and for each gradient step of
+the coordinator its gradient's norm and the KL divergence before it. No parameters are averaged.
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from hmasd_jax.hmasd import algorithm
+from hmasd_jax.hmasd.batches import high_batch
+from hmasd_jax.hmasd.coefficients import high_entropy_coef
+from hmasd_jax.hmasd.components import Parts, make_parts
+from hmasd_jax.hmasd.coordinator import coordinator_loss
+from hmasd_jax.hmasd.policy import make_policy
+from hmasd_jax.hmasd.rollout_phase import collect
+from hmasd_jax.rl import value_norm
+from hmasd_jax.rl.evaluate import evaluate
+from hmasd_jax.rl.sgd import gradient_step
+from hmasd_jax.runs.load import load_run
+from hmasd_jax.types import Learner
+from scripts.records import describe_script, write_rows
+
+EPISODES = 200
+
+
+def coordinator_steps(
+    parts: Parts, state: algorithm.HMASDState
+) -> tuple[Learner, dict[str, jax.Array]]:
+    """Repeat the coordinator's training of one update, step by step.
+
+    Returns:
+        The trained coordinator, and the norm of the gradient and the KL divergence of every step.
+    """
+    ppo = parts.config.ppo
+    _, key_collect, key_choose, key_high, *_ = jax.random.split(state.key, 6)
+    params, norm = state.coordinator.params, state.coordinator_norm
+    rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
+    batch = high_batch(parts, params, norm, rollout, key_choose)
+    loss_fn = partial(
+        coordinator_loss, network=parts.coordinator, config=parts.config,
+        entropy_coef=high_entropy_coef(parts, state.bonus),
+    )  # fmt: skip
+
+    def step(carry, order):
+        learner, norm = carry
+        minibatch = jax.tree.map(lambda x: x[order], batch)
+        norm = value_norm.update(norm, minibatch.target)
+        learner, metrics = gradient_step(
+            learner, parts.coordinator_optimizer,
+            lambda params: loss_fn(params, norm=norm, batch=minibatch),
+        )  # fmt: skip
+        return (learner, norm), {name: metrics[name] for name in ("grad_norm", "approx_kl")}
+
+    size = batch.target.shape[0]
+    keys = jax.random.split(key_high, ppo.num_epochs)
+    orders = jax.vmap(lambda key: jax.random.permutation(key, size))(keys)
+    orders = orders.reshape(ppo.steps_per_update, -1)
+    (learner, _), metrics = jax.lax.scan(step, (state.coordinator, norm), orders)
+    return learner, metrics
+
+
+def replay(run: Path, seed: int, step: int, num_updates: int) -> list[dict[str, Any]]:
+    """Return one row per update after the checkpoint of a step."""
+    trained = load_run(run, seed, step)
+    parts = make_parts(trained.env, trained.config.algorithm)
+    update = jax.jit(trained.algorithm.update)
+    steps = jax.jit(partial(coordinator_steps, parts))
+
+    @jax.jit
+    def success(coordinator, discoverer, key):
+        policy = make_policy(parts, coordinator, discoverer, greedy=False)
+        return evaluate(trained.env, policy, key, EPISODES)["success"]
+
+    state, rows = trained.state, []
+    for index in range(num_updates):
+        _, metrics = steps(state)
+        state, _ = update(state)
+        new, old = state, trained.state
+        levels = {
+            "both": (new.coordinator.params, new.discoverer.params),
+            "coordinator": (new.coordinator.params, old.discoverer.params),
+            "discoverer": (old.coordinator.params, new.discoverer.params),
+        }
+        key = jax.random.key(index)
+        shares = {name: float(success(*params, key)) for name, params in levels.items()}
+        rows.append(
+            {"update": index + 1}
+            | {f"success_{name}": round(share, 3) for name, share in shares.items()}
+            | {name: [float(f"{x:.3g}") for x in values] for name, values in metrics.items()}
+        )
+    return rows
+
+
+def main() -> None:
+    """Replay the updates that the command line asks for."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of an HMASD run")
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    parser.add_argument("--seed", type=int, default=0, help="index of the seed")
+    parser.add_argument("--step", type=int, required=True, help="environment steps done")
+    parser.add_argument("--updates", type=int, default=4, help="number of updates")
+    args = parser.parse_args()
+    about = describe_script(args.run)
+    write_rows(args.out, about, replay(args.run, args.seed, args.step, args.updates))
+
+
+if __name__ == "__main__":
+    main()
