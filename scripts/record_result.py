@@ -46,6 +46,8 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 | name ends in | meaning |
 |---|---|
 | `_general` | our preset with the same settings of the algorithm in all tasks |
+| `_unclipped` | the preset of the row without it, before 6d33107 clipped gradients at 0.5 and let \
+HMASD pay skills of a solved task more |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
