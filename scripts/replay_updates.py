@@ -22,9 +22,8 @@ from hmasd_jax.hmasd.components import Parts, make_parts
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rollout_phase import collect
-from hmasd_jax.rl import value_norm
 from hmasd_jax.rl.evaluate import evaluate
-from hmasd_jax.rl.sgd import gradient_step
+from hmasd_jax.rl.sgd import ppo_step
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.types import Learner
 from scripts.records import describe_script, write_rows
@@ -45,20 +44,17 @@ def coordinator_steps(
     params, norm = state.coordinator.params, state.coordinator_norm
     rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
     batch = high_batch(parts, params, norm, rollout, key_choose)
-    loss_fn = partial(
-        coordinator_loss, network=parts.coordinator, config=parts.config,
-        entropy_coef=high_entropy_coef(parts, state.bonus),
-    )  # fmt: skip
+    entropy_coef = high_entropy_coef(parts, state.bonus)
+
+    def loss_fn(params, norm, minibatch):
+        return coordinator_loss(
+            params, parts.coordinator, norm, minibatch, parts.config, entropy_coef
+        )
 
     def step(carry, order):
-        learner, norm = carry
         minibatch = jax.tree.map(lambda x: x[order], batch)
-        norm = value_norm.update(norm, minibatch.target)
-        learner, metrics = gradient_step(
-            learner, parts.coordinator_optimizer,
-            lambda params: loss_fn(params, norm=norm, batch=minibatch),
-        )  # fmt: skip
-        return (learner, norm), {name: metrics[name] for name in ("grad_norm", "approx_kl")}
+        carry, metrics = ppo_step(parts.coordinator_optimizer, loss_fn, carry, minibatch)
+        return carry, {name: metrics[name] for name in ("grad_norm", "approx_kl")}
 
     size = batch.target.shape[0]
     keys = jax.random.split(key_high, ppo.num_epochs)

@@ -1,6 +1,7 @@
 """Gradient steps, and epochs of shuffled minibatches."""
 
 from collections.abc import Callable, Hashable, Sequence
+from functools import partial
 from typing import Any, TypeVar
 
 import jax
@@ -112,6 +113,19 @@ def sgd_epochs(
     return carry, jax.tree.map(jnp.mean, metrics)
 
 
+def ppo_step(
+    optimizer: optax.GradientTransformation,
+    loss_fn: LossFn,
+    carry: tuple[Learner, ValueNorm],
+    minibatch: Any,
+) -> tuple[tuple[Learner, ValueNorm], Metrics]:
+    """Update the value normalizer with the targets of a minibatch, then take a gradient step."""
+    learner, norm = carry
+    norm = value_norm.update(norm, minibatch.target)
+    learner, metrics = gradient_step(learner, optimizer, loss_fn, norm, minibatch)
+    return (learner, norm), metrics
+
+
 def ppo_epochs(
     optimizer: optax.GradientTransformation,
     loss_fn: LossFn,
@@ -121,7 +135,7 @@ def ppo_epochs(
     key: Key,
     config: PPOConfig,
 ) -> tuple[Learner, ValueNorm, Metrics]:
-    """Run the epochs of PPO. Each step first updates the value normalizer with its targets.
+    """Run the epochs of PPO, with a `ppo_step` for each minibatch.
 
     Args:
         optimizer: optimizer of the learner.
@@ -132,13 +146,7 @@ def ppo_epochs(
         key: PRNG key that shuffles the samples.
         config: number of epochs and of minibatches.
     """
-
-    def step(carry, minibatch):
-        learner, norm = carry
-        norm = value_norm.update(norm, minibatch.target)
-        learner, metrics = gradient_step(learner, optimizer, loss_fn, norm, minibatch)
-        return (learner, norm), metrics
-
+    step = partial(ppo_step, optimizer, loss_fn)
     (learner, norm), metrics = sgd_epochs(
         step, (learner, norm), batch, key, config.num_epochs, config.num_minibatches
     )
