@@ -17,13 +17,13 @@ import jax
 
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import high_batch
-from hmasd_jax.hmasd.coefficients import high_entropy_coef
+from hmasd_jax.hmasd.coefficients import high_entropy_coef, high_step_factor
 from hmasd_jax.hmasd.components import Parts, make_parts
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
-from hmasd_jax.rl.sgd import ppo_step
+from hmasd_jax.rl.sgd import ppo_step, scale_steps
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.types import Learner
 from scripts.records import describe_script, write_rows
@@ -45,6 +45,7 @@ def coordinator_steps(
     rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
     batch = high_batch(parts, params, norm, rollout, key_choose)
     entropy_coef = high_entropy_coef(parts, state.bonus)
+    optimizer = scale_steps(parts.coordinator_optimizer, high_step_factor(parts, state.bonus))
 
     def loss_fn(params, norm, minibatch):
         return coordinator_loss(
@@ -53,7 +54,7 @@ def coordinator_steps(
 
     def step(carry, order):
         minibatch = jax.tree.map(lambda x: x[order], batch)
-        carry, metrics = ppo_step(parts.coordinator_optimizer, loss_fn, carry, minibatch)
+        carry, metrics = ppo_step(optimizer, loss_fn, carry, minibatch)
         return carry, {name: metrics[name] for name in ("grad_norm", "approx_kl")}
 
     size = batch.target.shape[0]

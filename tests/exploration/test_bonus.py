@@ -45,6 +45,13 @@ def test_the_weight_of_the_entropy_is_that_of_the_bonus_that_has_one():
         assert both.entropy_weight(both.init(jax.random.key(0))) == expected
 
 
+def test_the_sum_counts_unsolved_episodes_like_the_bonus_that_does():
+    counting = constant(3.0, "b")._replace(unsolved=lambda count: count / 4)
+    pairs = [(constant(2.0, "a"), counting), (counting, constant(2.0, "a"))]
+    for both, expected in [*((add(*pair), 0.25) for pair in pairs), (NO_BONUS, 1.0)]:
+        assert both.unsolved(both.init(jax.random.key(0))) == expected
+
+
 def test_the_sum_knows_as_much_of_solved_episodes_as_either():
     counting = constant(3.0, "b")._replace(solved=lambda count: count / 4)
     pairs = [(constant(2.0, "a"), counting), (counting, constant(2.0, "a"))]

@@ -148,6 +148,7 @@ def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy,
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)
     won = empty._replace(successes=jnp.float32(6), episodes=jnp.float32(8))
     assert bonus.entropy_weight(won) == weight
+    assert bonus.unsolved(won) == 0.25
 
 
 @pytest.mark.parametrize(("returns", "best"), [(6.0, 1.0), (120.0, 20.0)])

@@ -1,4 +1,4 @@
-"""Coefficients that change: skills gain weight once the task is solved, entropy loses it."""
+"""Coefficients that change with what is solved."""
 
 from dataclasses import replace
 
@@ -12,6 +12,7 @@ from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
+    high_step_factor,
     low_entropy_coef,
     skill_weight,
     unknown_share,
@@ -86,10 +87,38 @@ def test_what_q_knows_is_measured_against_chance(q, num_skills, expected):
 def test_without_the_settings_nothing_is_traced(half_solved):
     """A constant that becomes traced rounds the whole update differently."""
     parts, state = half_solved
-    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
+    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0, solved_step_factor=1.0)
     parts = replace(parts, config=config)
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
     assert type(high_entropy_coef(parts, state)) is float
+    assert type(high_step_factor(parts, state)) is float
+
+
+@pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
+def test_the_coordinators_steps_shorten_with_the_unsolved_episodes(parts, unsolved, factor):
+    parts = replace(
+        parts,
+        config=replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=0.1),
+        bonus=parts.bonus._replace(unsolved=lambda share: share),
+    )
+    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
+
+
+def test_a_factor_of_zero_stops_the_coordinator_alone(parts, trained):
+    """Its state goes on: Adam's moments, the normalizer, and the other levels' parameters."""
+
+    def update(factor):
+        config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=factor)
+        bonus = parts.bonus._replace(unsolved=lambda _: jnp.float32(0))
+        changed = replace(parts, config=config, bonus=bonus)
+        return jax.jit(lambda state: algorithm.train_iteration(changed, state)[0])(trained)
+
+    stopped, plain = update(0.0), update(1.0)
+    chex.assert_trees_all_equal(stopped.coordinator.params, trained.coordinator.params)
+    chex.assert_trees_all_close(stopped.discoverer, plain.discoverer, rtol=1e-4, atol=1e-5)
+    chex.assert_trees_all_close(stopped.coordinator_norm, plain.coordinator_norm, rtol=1e-4)
+    with pytest.raises(AssertionError):
+        chex.assert_trees_all_close(stopped.coordinator.params, plain.coordinator.params, atol=1e-4)
 
 
 def entropy_weight(parts, num_updates, bonus_state=(), **changes):
@@ -111,10 +140,10 @@ def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
     assert_allclose(half, 0.05)
 
 
-@pytest.mark.parametrize("name", ["solved_gain", "solved_entropy_coef"])
-def test_what_rises_on_solved_tasks_needs_to_know_them(config, name):
-    with pytest.raises(ValueError, match=rf"{name} 2.0 needs frontier.coef above 0"):
-        replace(config, **{name: 2.0})
+@pytest.mark.parametrize("name", ["solved_gain", "solved_entropy_coef", "solved_step_factor"])
+def test_what_changes_on_solved_tasks_needs_to_know_them(config, name):
+    with pytest.raises(ValueError, match=rf"{name} 0.5 needs frontier.coef above 0"):
+        replace(config, **{name: 0.5})
 
 
 def test_a_gain_needs_what_it_is_measured_by(config):

@@ -6,8 +6,9 @@ import numpy as np
 import optax
 from numpy.testing import assert_allclose
 
+from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.rl.sgd import gradient_step, make_optimizer, sgd_epochs
+from hmasd_jax.rl.sgd import gradient_step, make_optimizer, scale_steps, sgd_epochs
 from hmasd_jax.types import Learner
 
 
@@ -95,6 +96,20 @@ def test_the_step_size_can_fall_linearly_to_zero():
             learner, _ = gradient_step(learner, optimizer, _linear_loss, gradient)
             path.append(float(learner.params["net"][0]))
         assert_allclose(path, expected, rtol=1e-4)
+
+
+def test_shorter_steps_leave_adam_as_it_is_and_the_average_follows_them():
+    config = PPOConfig(learning_rate=0.1, average_updates=1, num_epochs=2)
+    params, gradient = {"net": jnp.zeros(2)}, {"net": jnp.array([3.0, -1.0])}
+    optimizer = make_optimizer(config, ["net"])
+    full, short = [
+        gradient_step(Learner(params, steps.init(params)), steps, _linear_loss, gradient)[0]
+        for steps in (optimizer, scale_steps(optimizer, jnp.float32(0.25)))
+    ]
+    assert_allclose(full.params["net"], [-0.1, 0.1], rtol=1e-4)
+    assert_allclose(short.params["net"], [-0.025, 0.025], rtol=1e-4)
+    assert_allclose(averaged_params(short)["net"], [-0.025, 0.025], rtol=1e-4)
+    np.testing.assert_array_equal(_first_moment(short, "net"), _first_moment(full, "net"))
 
 
 def _count_samples(num_epochs, num_minibatches, key=0):

@@ -17,6 +17,12 @@ def full_entropy(bonus_state: Any) -> float:
     return 1.0
 
 
+def all_unsolved(bonus_state: Any) -> float:
+    """Return 1, for a bonus that does not count the episodes that are solved."""
+    del bonus_state
+    return 1.0
+
+
 def never_solved(bonus_state: Any) -> float:
     """Return 0, for a bonus that does not know whether the task is solved."""
     del bonus_state
@@ -34,6 +40,8 @@ class Bonus(NamedTuple):
     entropy_weight: Callable[[Any], float | Float[Array, ""]] = full_entropy
     """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
     explores, too."""
+    unsolved: Callable[[Any], float | Float[Array, ""]] = all_unsolved
+    """`unsolved(bonus_state)`: share of recent episodes that no reward ended."""
     solved: Callable[[Any], float | Float[Array, ""]] = never_solved
     """`solved(bonus_state)`: in [0, 1], how surely the team does as well as it ever has."""
 
@@ -64,7 +72,10 @@ def add(first: Bonus, second: Bonus) -> Bonus:
     def entropy_weight(pair):
         return first.entropy_weight(pair[0]) * second.entropy_weight(pair[1])
 
+    def unsolved(pair):
+        return jnp.minimum(first.unsolved(pair[0]), second.unsolved(pair[1]))
+
     def solved(pair):
         return jnp.maximum(first.solved(pair[0]), second.solved(pair[1]))
 
-    return Bonus(init, update, entropy_weight, solved)
+    return Bonus(init, update, entropy_weight, unsolved, solved)

@@ -136,7 +136,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
     def solved(frontier: Frontier):
         return share_of_best(frontier) ** num_envs
 
-    return Bonus(init, update, unsolved if config.fade_entropy else full_entropy, solved)
+    entropy_weight = unsolved if config.fade_entropy else full_entropy
+    return Bonus(init, update, entropy_weight, unsolved, solved)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:

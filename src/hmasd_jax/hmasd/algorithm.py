@@ -9,7 +9,12 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
-from hmasd_jax.hmasd.coefficients import high_entropy_coef, low_entropy_coef, skill_weight
+from hmasd_jax.hmasd.coefficients import (
+    high_entropy_coef,
+    high_step_factor,
+    low_entropy_coef,
+    skill_weight,
+)
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import HighBatch, coordinator_loss
@@ -32,7 +37,7 @@ from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.keys import key_beside
-from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, sgd_epochs
+from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, scale_steps, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 
@@ -187,13 +192,14 @@ def train_coordinator(
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 6 for the configured epochs."""
     entropy_coef = high_entropy_coef(parts, state.bonus)
+    step_factor = high_step_factor(parts, state.bonus)
 
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
     return ppo_epochs(
-        parts.coordinator_optimizer, loss_fn, state.coordinator, state.coordinator_norm,
-        batch, key, parts.config.ppo,
+        scale_steps(parts.coordinator_optimizer, step_factor), loss_fn, state.coordinator,
+        state.coordinator_norm, batch, key, parts.config.ppo,
     )  # fmt: skip
 
 

@@ -1,7 +1,7 @@
-"""Coefficients of Eqs. 4, 6 and 7 that change in training. The paper keeps them constant.
+"""Coefficients of Eqs. 4, 6 and 7, and of their steps, that change in training.
 
-Each function returns a constant of Python where its settings leave the coefficient constant. A
-traced number would round the whole update differently.
+The paper keeps them constant. Each function returns a constant of Python where its settings leave
+the coefficient constant. A traced number would round the whole update differently.
 """
 
 from typing import Any
@@ -54,6 +54,18 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     if config.solved_entropy_coef == 0:
         return config.high_entropy_coef
     return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(bonus_state)
+
+
+def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
+
+    Normalized advantages have no scale. Where every episode succeeds they are noise, and Adam
+    follows it in steps of full length, until they change the assignments that the team needs.
+    """
+    factor = parts.config.solved_step_factor
+    if factor == 1:
+        return 1.0
+    return factor + (1.0 - factor) * parts.bonus.unsolved(bonus_state)
 
 
 def low_entropy_coef(

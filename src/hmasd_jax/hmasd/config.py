@@ -87,6 +87,9 @@ class HMASDConfig:
     paper has none."""
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
+    solved_step_factor: float = 1.0
+    """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
+    and linear between. Needs the `frontier`, which counts these episodes."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
@@ -109,8 +112,10 @@ class HMASDConfig:
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", low=0)
-        for name in ("solved_gain", "solved_entropy_coef"):
-            if getattr(self, name) > 0 and self.frontier.coef == 0:
+        check_range(self, "solved_step_factor", low=0, high=1)
+        constant = {"solved_gain": 0, "solved_entropy_coef": 0, "solved_step_factor": 1}
+        for name, value in constant.items():
+            if getattr(self, name) != value and self.frontier.coef == 0:
                 raise ValueError(
                     f"{name} {getattr(self, name)} needs frontier.coef above 0: the frontier knows "
                     "when the task is solved"

@@ -37,13 +37,38 @@ def make_optimizer(
         step_size = optax.linear_schedule(
             config.learning_rate, 0.0, config.decay_updates * per_update
         )
-    steps = [clip_by_norm(config.max_grad_norm), optax.adam(step_size, eps=config.adam_epsilon)]
+    adam = take_step_factor(optax.adam(step_size, eps=config.adam_epsilon))
+    steps = [clip_by_norm(config.max_grad_norm), adam]
     if config.average_updates:
         steps.append(track_average(1.0 - 1.0 / (config.average_updates * per_update)))
     # One vector per network: XLA compiles and launches a quarter fewer kernels.
     each = optax.flatten(optax.chain(*steps))
     transforms: dict[Hashable, optax.GradientTransformation] = dict.fromkeys(networks, each)
     return optax.partition(transforms, {name: name for name in networks})
+
+
+def take_step_factor(
+    optimizer: optax.GradientTransformation,
+) -> optax.GradientTransformationExtraArgs:
+    """Let the optimizer's `update` take `step_factor`, which multiplies its steps."""
+
+    def update(grads, state, params=None, *, step_factor=1.0, **_):
+        steps, state = optimizer.update(grads, state, params)
+        return steps * step_factor, state
+
+    return optax.GradientTransformationExtraArgs(optimizer.init, update)
+
+
+def scale_steps(
+    optimizer: optax.GradientTransformation, factor: float | Float[Array, ""]
+) -> optax.GradientTransformation:
+    """Multiply the steps of an optimizer of `make_optimizer` by a factor that training may change.
+
+    The average of the parameters follows the shorter steps. The moments of Adam do not change.
+    """
+    return optax.GradientTransformation(
+        optimizer.init, partial(optimizer.update, step_factor=factor)
+    )
 
 
 def clip_by_norm(max_norm: float) -> optax.GradientTransformation:
