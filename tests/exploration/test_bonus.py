@@ -52,13 +52,6 @@ def test_the_sum_counts_unsolved_episodes_like_the_bonus_that_does():
         assert both.unsolved(both.init(jax.random.key(0))) == expected
 
 
-def test_the_sum_knows_as_much_of_solved_episodes_as_either():
-    counting = constant(3.0, "b")._replace(solved=lambda count: count / 4)
-    pairs = [(constant(2.0, "a"), counting), (counting, constant(2.0, "a"))]
-    for both, expected in [*((add(*pair), 0.25) for pair in pairs), (NO_BONUS, 0.0)]:
-        assert both.solved(both.init(jax.random.key(0))) == expected
-
-
 @pytest.mark.parametrize(("weight", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
 def test_the_entropy_of_mappo_is_weighted_by_the_bonus(weight, entropy_coef):
     env = envs_jax.make("probe_match_cue")

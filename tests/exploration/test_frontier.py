@@ -151,14 +151,6 @@ def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy,
     assert bonus.unsolved(won) == 0.25
 
 
-@pytest.mark.parametrize(("returns", "best"), [(6.0, 1.0), (120.0, 20.0)])
-def test_a_task_is_solved_if_all_copies_do_as_well_as_ever(bonus, empty, returns, best):
-    good = empty._replace(
-        returns=jnp.float32(returns), episodes=jnp.float32(8), best_return=jnp.float32(best)
-    )
-    assert_allclose(bonus.solved(good), 0.75**NUM_ENVS, rtol=1e-6)
-
-
 def test_a_window_without_an_end_of_an_episode_is_unsolved():
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, window=1), NUM_ENVS)
     outcome = rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False)

@@ -23,12 +23,6 @@ def all_unsolved(bonus_state: Any) -> float:
     return 1.0
 
 
-def never_solved(bonus_state: Any) -> float:
-    """Return 0, for a bonus that does not know whether the task is solved."""
-    del bonus_state
-    return 0.0
-
-
 class Bonus(NamedTuple):
     """An exploration bonus as pure functions."""
 
@@ -42,8 +36,6 @@ class Bonus(NamedTuple):
     explores, too."""
     unsolved: Callable[[Any], float | Float[Array, ""]] = all_unsolved
     """`unsolved(bonus_state)`: share of recent episodes that no reward ended."""
-    solved: Callable[[Any], float | Float[Array, ""]] = never_solved
-    """`solved(bonus_state)`: in [0, 1], how surely the team does as well as it ever has."""
 
 
 NO_BONUS = Bonus(
@@ -75,7 +67,4 @@ def add(first: Bonus, second: Bonus) -> Bonus:
     def unsolved(pair):
         return jnp.minimum(first.unsolved(pair[0]), second.unsolved(pair[1]))
 
-    def solved(pair):
-        return jnp.maximum(first.solved(pair[0]), second.solved(pair[1]))
-
-    return Bonus(init, update, entropy_weight, unsolved, solved)
+    return Bonus(init, update, entropy_weight, unsolved)

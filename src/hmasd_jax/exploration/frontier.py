@@ -133,25 +133,13 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    def solved(frontier: Frontier):
-        return share_of_best(frontier) ** num_envs
-
     entropy_weight = unsolved if config.fade_entropy else full_entropy
-    return Bonus(init, update, entropy_weight, unsolved, solved)
+    return Bonus(init, update, entropy_weight, unsolved)
 
 
 def unsolved(frontier: Frontier) -> Float[Array, ""]:
     """Return the share of recent episodes that no reward ended."""
     return 1.0 - per_episode(frontier.successes, frontier.episodes)
-
-
-def share_of_best(frontier: Frontier) -> Float[Array, ""]:
-    """Return the mean return of recent episodes in units of the best so far, which is at least 1.
-
-    It is the share of recent successes where the only reward of an episode is 1.
-    """
-    mean_return = per_episode(frontier.returns, frontier.episodes)
-    return jnp.clip(mean_return / frontier.best_return, 0.0, 1.0)
 
 
 def per_episode(

@@ -27,7 +27,7 @@ def skill_weight(
 
     Args:
         parts: static components.
-        bonus_state: state of the bonus, which knows how well the team does.
+        bonus_state: state of the bonus, which counts the episodes that are solved.
         team_reward: team reward of every step of the rollout.
         log_q_individual: log q_d of each agent's skill in use, over all B = T E steps.
     """
@@ -36,7 +36,12 @@ def skill_weight(
         return 1.0
     earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
     unknown = unknown_share(log_q_individual, config.num_skills)
-    return 1.0 + config.solved_gain * parts.bonus.solved(bonus_state) * earned * unknown
+    return 1.0 + config.solved_gain * all_solved(parts, bonus_state) * earned * unknown
+
+
+def all_solved(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the chance that a reward ends the episodes of all copies of the environment."""
+    return (1.0 - parts.bonus.unsolved(bonus_state)) ** parts.config.ppo.num_envs
 
 
 def unknown_share(log_q: Float[Array, "*batch"], num_skills: int) -> Float[Array, ""]:
@@ -53,7 +58,8 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     config = parts.config
     if config.solved_entropy_coef == 0:
         return config.high_entropy_coef
-    return config.high_entropy_coef + config.solved_entropy_coef * parts.bonus.solved(bonus_state)
+    solved = all_solved(parts, bonus_state)
+    return config.high_entropy_coef + config.solved_entropy_coef * solved
 
 
 def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:

@@ -83,8 +83,8 @@ class HMASDConfig:
     solved_gain: float = 0.0
     """Weight that the rewards for skills gain once the team solves its task, in units of
     lambda_e times the mean team reward of a step and of what q_d does not know yet, so that skills
-    become different ways to solve it. Needs the `frontier`, which knows how well the team does. The
-    paper has none."""
+    become different ways to solve it. Needs the `frontier`, which counts the episodes that a reward
+    ends. The paper has none."""
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
     solved_step_factor: float = 1.0
