@@ -46,8 +46,10 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 | name ends in | meaning |
 |---|---|
 | `_general` | our preset with the same settings of the algorithm in all tasks |
-| `_unclipped` | the preset of the row without it, before 6d33107 clipped gradients at 0.5 and let \
-HMASD pay skills of a solved task more |
+| `_before` | the preset of the row without it, before solved tasks changed rewards, entropy and \
+steps. In Overcooked no episode is solved, and the two are the same |
+| `_clipped` | a step between these two (6d33107): gradients clipped at a norm of 0.5, steps of \
+full length, and skills that are paid in Overcooked, too |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |

@@ -22,7 +22,10 @@ SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
 TOGETHER = ("compared", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
-RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_unclipped")
+RETIRED = (
+    "hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_before",
+    "hmasd_general_clipped",
+)  # fmt: skip
 """Beginnings of the names of runs with retired presets, and of steps towards them."""
 STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
 """Configurations that look the same in all images."""
