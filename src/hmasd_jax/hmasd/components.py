@@ -38,7 +38,7 @@ class Parts:
     coordinator: Coordinator
     discoverer: ActorCritic
     discriminators: Discriminators
-    coordinator_optimizer: optax.GradientTransformation
+    coordinator_optimizer: optax.GradientTransformationExtraArgs
     discoverer_optimizer: optax.GradientTransformation
     discriminator_optimizer: optax.GradientTransformation
     distance: SkillReward

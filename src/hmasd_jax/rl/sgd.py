@@ -23,7 +23,7 @@ LossFn = Callable[..., tuple[Float[Array, ""], Metrics]]
 
 def make_optimizer(
     config: PPOConfig, networks: Sequence[str], steps_per_update: int | None = None
-) -> optax.GradientTransformation:
+) -> optax.GradientTransformationExtraArgs:
     """Build Adam that clips each network's gradient by its own norm first.
 
     Args:
@@ -52,15 +52,15 @@ def take_step_factor(
 ) -> optax.GradientTransformationExtraArgs:
     """Let the optimizer's `update` take `step_factor`, which multiplies its steps."""
 
-    def update(grads, state, params=None, *, step_factor=1.0, **_):
-        steps, state = optimizer.update(grads, state, params)
-        return steps * step_factor, state
+    def update(updates, state, params=None, *, step_factor=1.0, **_):
+        steps, state = optimizer.update(updates, state, params)
+        return optax.tree.scale(step_factor, steps), state
 
     return optax.GradientTransformationExtraArgs(optimizer.init, update)
 
 
 def scale_steps(
-    optimizer: optax.GradientTransformation, factor: float | Float[Array, ""]
+    optimizer: optax.GradientTransformationExtraArgs, factor: float | Float[Array, ""]
 ) -> optax.GradientTransformation:
     """Multiply the steps of an optimizer of `make_optimizer` by a factor that training may change.
 
