@@ -17,13 +17,11 @@ import jax
 
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import high_batch
-from hmasd_jax.hmasd.coefficients import high_entropy_coef, high_step_factor
 from hmasd_jax.hmasd.components import Parts, make_parts
-from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
-from hmasd_jax.rl.sgd import ppo_step, scale_steps
+from hmasd_jax.rl.sgd import ppo_step
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.types import Learner
 from scripts.records import describe_script, write_rows
@@ -44,13 +42,7 @@ def coordinator_steps(
     params, norm = state.coordinator.params, state.coordinator_norm
     rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
     batch = high_batch(parts, params, norm, rollout, key_choose)
-    entropy_coef = high_entropy_coef(parts, state.bonus)
-    optimizer = scale_steps(parts.coordinator_optimizer, high_step_factor(parts, state.bonus))
-
-    def loss_fn(params, norm, minibatch):
-        return coordinator_loss(
-            params, parts.coordinator, norm, minibatch, parts.config, entropy_coef
-        )
+    optimizer, loss_fn = algorithm.coordinator_objective(parts, state.bonus)
 
     def step(carry, order):
         minibatch = jax.tree.map(lambda x: x[order], batch)

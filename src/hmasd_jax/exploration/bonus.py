@@ -11,14 +11,8 @@ from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
-def full_entropy(bonus_state: Any) -> float:
-    """Return 1, for a bonus that leaves the entropy of actions as it is."""
-    del bonus_state
-    return 1.0
-
-
-def all_unsolved(bonus_state: Any) -> float:
-    """Return 1, for a bonus that does not count the episodes that are solved."""
+def always_one(bonus_state: Any) -> float:
+    """Return 1, for a bonus that leaves entropy as it is, or counts no solved episodes."""
     del bonus_state
     return 1.0
 
@@ -31,10 +25,10 @@ class Bonus(NamedTuple):
     update: Callable[[Any, TimeStep, Key], tuple[Any, Float[Array, "T E"], Metrics]]
     """`update(bonus_state, outcome, key)`: the next state, the weighted bonus for each state that a
     rollout reached, and metrics. `outcome` is (T, E), before any reset."""
-    entropy_weight: Callable[[Any], float | Float[Array, ""]] = full_entropy
+    entropy_weight: Callable[[Any], float | Float[Array, ""]] = always_one
     """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
     explores, too."""
-    unsolved: Callable[[Any], float | Float[Array, ""]] = all_unsolved
+    unsolved: Callable[[Any], float | Float[Array, ""]] = always_one
     """`unsolved(bonus_state)`: share of recent episodes that no reward ended."""
 
 

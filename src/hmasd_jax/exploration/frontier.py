@@ -36,7 +36,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
-from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, full_entropy
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, always_one
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
@@ -133,7 +133,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
-    entropy_weight = unsolved if config.fade_entropy else full_entropy
+    entropy_weight = unsolved if config.fade_entropy else always_one
     return Bonus(init, update, entropy_weight, unsolved)
 
 

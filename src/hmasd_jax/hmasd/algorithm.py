@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
@@ -37,7 +38,7 @@ from hmasd_jax.networks.actor_critic import SequenceBatch
 from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.keys import key_beside
-from hmasd_jax.rl.sgd import gradient_step, ppo_epochs, scale_steps, sgd_epochs
+from hmasd_jax.rl.sgd import LossFn, gradient_step, ppo_epochs, scale_steps, sgd_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy
 
@@ -191,16 +192,24 @@ def train_coordinator(
     parts: Parts, state: HMASDState, batch: HighBatch, key: Key
 ) -> tuple[Learner, ValueNorm, Metrics]:
     """Train on Eq. 6 for the configured epochs."""
-    entropy_coef = high_entropy_coef(parts, state.bonus)
-    step_factor = high_step_factor(parts, state.bonus)
+    optimizer, loss_fn = coordinator_objective(parts, state.bonus)
+    return ppo_epochs(
+        optimizer, loss_fn, state.coordinator, state.coordinator_norm,
+        batch, key, parts.config.ppo,
+    )  # fmt: skip
+
+
+def coordinator_objective(
+    parts: Parts, bonus_state: Any
+) -> tuple[optax.GradientTransformation, LossFn]:
+    """Return the optimizer and the loss of Eq. 6, with the coefficients of one update."""
+    entropy_coef = high_entropy_coef(parts, bonus_state)
 
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
-    return ppo_epochs(
-        scale_steps(parts.coordinator_optimizer, step_factor), loss_fn, state.coordinator,
-        state.coordinator_norm, batch, key, parts.config.ppo,
-    )  # fmt: skip
+    step_factor = high_step_factor(parts, bonus_state)
+    return scale_steps(parts.coordinator_optimizer, step_factor), loss_fn
 
 
 def train_discoverer(
