@@ -1,0 +1,70 @@
+"""Record how training goes on from a checkpoint, with other settings and other random numbers.
+
+python scripts/continue_training.py RUN OUT --seed 1 --step 400000 --set algorithm.solved_gain=0
+
+OUT (JSON) gets one row per repetition: the success of the episodes that sample, in percent, over
+every five updates. Repetitions differ in their random numbers alone. The settings must leave the
+shapes of the train state as they are.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from hmasd_jax import config as configs
+from hmasd_jax.runs.load import load_run
+from hmasd_jax.training.compiled import build_executable
+from scripts.records import describe_script, write_rows
+
+POOLED = 5
+"""Updates per number."""
+
+
+def continue_training(
+    run: Path, seed: int, step: int, settings: dict[str, Any], num_updates: int, repetitions: int
+) -> list[dict[str, Any]]:
+    """Return one row per repetition of the updates after the checkpoint of a step."""
+    state = load_run(run, seed, step).state
+    _, algorithm = configs.build(configs.load(run / "config.json", settings))
+
+    @jax.jit
+    def updates(state):
+        state, metrics = jax.lax.scan(lambda s, _: algorithm.update(s), state, length=POOLED)
+        return state, metrics["episode_sum/success"].sum() / metrics["episodes"].sum()
+
+    run_updates = build_executable(updates, state)
+    rows = []
+    for repetition in range(repetitions):
+        now, success = state._replace(key=jax.random.fold_in(state.key, repetition)), []
+        for _ in range(num_updates // POOLED):
+            now, share = run_updates(now)
+            success.append(round(100 * float(share), 1))
+        rows.append({"repetition": repetition, "success": success})
+    return rows
+
+
+def main() -> None:
+    """Read the arguments, go on, and write the record."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run")
+    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
+    parser.add_argument("--seed", type=int, default=0, help="index of the seed in the run")
+    parser.add_argument("--step", type=int, required=True, help="step of the checkpoint")
+    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="other settings")
+    parser.add_argument("--updates", type=int, default=100, help="updates to do")
+    parser.add_argument("--repetitions", type=int, default=4, help="times to do them")
+    args = parser.parse_args()
+    about = describe_script(args.run)
+    named = (setting.split("=", 1) for setting in args.set)
+    settings = {name: json.loads(value) for name, value in named}
+    rows = continue_training(
+        args.run, args.seed, args.step, settings, args.updates, args.repetitions
+    )
+    write_rows(args.out, about, rows)
+
+
+if __name__ == "__main__":
+    main()

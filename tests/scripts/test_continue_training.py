@@ -1,0 +1,45 @@
+"""The script that goes on from a checkpoint, with an algorithm that counts its updates."""
+
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from hmasd_jax import config as configs
+from scripts import continue_training as script
+from tests.helpers.runs import write_run
+
+
+class Counted(NamedTuple):
+    key: jax.Array
+    num_updates: jax.Array
+
+
+def counting(gain: float) -> SimpleNamespace:
+    """Return an algorithm that wins `gain` times its number of updates, and as often by chance."""
+
+    def update(state: Counted) -> tuple[Counted, dict]:
+        key, key_win = jax.random.split(state.key)
+        wins = gain * state.num_updates + gain * jax.random.uniform(key_win)
+        metrics = {"episodes": jnp.float32(20), "episode_sum/success": wins}
+        return Counted(key, state.num_updates + 1), metrics
+
+    return SimpleNamespace(update=update)
+
+
+def test_success_is_pooled_and_repetitions_draw_other_numbers(monkeypatch, tmp_path):
+    run = write_run(tmp_path / "run", [[0.0]])
+    loaded = SimpleNamespace(state=Counted(jax.random.key(0), jnp.int32(0)))
+    monkeypatch.setattr(script, "load_run", lambda *_: loaded)
+    monkeypatch.setattr(
+        configs, "build", lambda config: (None, counting(config.algorithm.solved_step_factor))
+    )
+    settings = {"algorithm.solved_step_factor": 0.5, "algorithm.frontier.coef": 1.0}
+    rows = script.continue_training(run, 0, 0, settings, num_updates=10, repetitions=2)
+    assert [row["repetition"] for row in rows] == [0, 1]
+    # 0 + .. + 4 updates make 5 wins of 100, 5 + .. + 9 make 17.5; chance adds up to 2.5.
+    for row in rows:
+        assert 5 < row["success"][0] < 7.5
+        assert 17.5 < row["success"][1] < 20
+    assert rows[0]["success"] != rows[1]["success"]
