@@ -1,6 +1,7 @@
 """The store of successes and its imitation, by hand."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -112,10 +113,11 @@ def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_ch
     learner,
 ):
     empty = PARTS.imitation.init()
-    same, _ = jax.jit(PARTS.imitation.train)(empty, learner)
+    train = jax.jit(partial(PARTS.imitation.train, optimizer=PARTS.optimizer))
+    same, _ = train(empty, learner)
     jax.tree.map(np.testing.assert_array_equal, same, learner)
     store, _ = insert(empty, _batch(2, 3), jnp.ones((2, 2)), 2, jax.random.key(0))
-    trained, _ = jax.jit(PARTS.imitation.train)(store, learner)
+    trained, _ = train(store, learner)
     before, after = (imitation_loss(x.params, PARTS.networks, store) for x in (learner, trained))
     assert after < before - 1e-3
     jax.tree.map(np.testing.assert_array_equal, trained.params["critic"], learner.params["critic"])
@@ -147,7 +149,7 @@ def test_a_rollout_stores_at_most_what_the_buffer_holds():
 def test_without_a_weight_nothing_is_stored():
     parts = mappo.make_parts(ENV, MAPPOConfig(ppo=PPO))
     assert parts.imitation is NO_IMITATION
-    assert parts.imitation.train((), Learner(1, 2)) == (Learner(1, 2), {})
+    assert parts.imitation.train((), Learner(1, 2), parts.optimizer) == (Learner(1, 2), {})
 
 
 @pytest.mark.parametrize("config", [MAPPOConfig, HMASDConfig])

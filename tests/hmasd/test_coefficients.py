@@ -5,20 +5,23 @@ from dataclasses import replace
 import chex
 import jax
 import jax.numpy as jnp
+import optax
 import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.successes import NO_IMITATION
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
-    high_step_factor,
     low_entropy_coef,
     skill_weight,
+    step_factor,
     unknown_share,
 )
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.distance import DistanceConfig
+from hmasd_jax.types import Learner
 
 
 def test_a_solved_task_raises_all_that_keeps_skills_apart(parts, monkeypatch):
@@ -94,34 +97,44 @@ def test_without_the_settings_nothing_is_traced(half_solved):
     parts = replace(parts, config=config)
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
     assert type(high_entropy_coef(parts, state)) is float
-    assert type(high_step_factor(parts, state)) is float
+    assert type(step_factor(parts, state)) is float
 
 
 @pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
-def test_the_coordinators_steps_shorten_with_the_unsolved_episodes(parts, unsolved, factor):
+def test_steps_shorten_with_the_unsolved_episodes(parts, unsolved, factor):
     parts = replace(
         parts,
         config=replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=0.1),
         bonus=parts.bonus._replace(unsolved=lambda share: share),
     )
-    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
+    assert_allclose(step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
 
 
-def test_a_factor_of_zero_stops_the_coordinator_alone(parts, trained):
-    """Its state goes on: Adam's moments, the normalizer, and the other levels' parameters."""
+def test_a_factor_of_zero_stops_both_levels_and_nothing_else(parts, trained):
+    """Adam's moments, the normalizers and the discriminators go on. Imitation stops, too."""
+
+    def imitate(_, learner, optimizer):
+        gradient = jax.tree.map(jnp.ones_like, learner.params)
+        updates, opt_state = optimizer.update(gradient, learner.opt_state, learner.params)
+        return Learner(optax.apply_updates(learner.params, updates), opt_state), {}
 
     def update(factor):
         config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=factor)
         bonus = parts.bonus._replace(unsolved=lambda _: jnp.float32(0))
-        changed = replace(parts, config=config, bonus=bonus)
+        imitation = NO_IMITATION._replace(train=imitate)
+        changed = replace(parts, config=config, bonus=bonus, imitation=imitation)
         return jax.jit(lambda state: algorithm.train_iteration(changed, state)[0])(trained)
 
     stopped, plain = update(0.0), update(1.0)
-    chex.assert_trees_all_equal(stopped.coordinator.params, trained.coordinator.params)
-    chex.assert_trees_all_close(stopped.discoverer, plain.discoverer, rtol=1e-4, atol=1e-5)
+    for level in ("coordinator", "discoverer"):
+        before, held, moved = (getattr(x, level) for x in (trained, stopped, plain))
+        chex.assert_trees_all_equal(held.params, before.params)
+        with pytest.raises(AssertionError):
+            chex.assert_trees_all_close(held.opt_state, before.opt_state, rtol=1e-4)
+        with pytest.raises(AssertionError):
+            chex.assert_trees_all_close(held.params, moved.params, atol=1e-4)
     chex.assert_trees_all_close(stopped.coordinator_norm, plain.coordinator_norm, rtol=1e-4)
-    with pytest.raises(AssertionError):
-        chex.assert_trees_all_close(stopped.coordinator.params, plain.coordinator.params, atol=1e-4)
+    chex.assert_trees_all_close(stopped.discriminators, plain.discriminators, rtol=1e-4, atol=1e-5)
 
 
 def entropy_weight(parts, num_updates, bonus_state=(), **changes):

@@ -91,21 +91,21 @@ class Imitation(NamedTuple):
     """`init()`: empty buffer."""
     store: Callable[[Any, SequenceBatch, Transition, Key], tuple[Any, Metrics]]
     """`store(successes, batch, transitions, key)`: keep the successes of a rollout."""
-    train: Callable[[Any, Learner], tuple[Learner, Metrics]]
-    """`train(successes, learner)`: take gradient steps towards what is stored."""
+    train: Callable[[Any, Learner, optax.GradientTransformation], tuple[Learner, Metrics]]
+    """`train(successes, learner, optimizer)`: take gradient steps towards what is stored, which
+    the optimizer counts beside those of PPO."""
 
 
 NO_IMITATION = Imitation(
     init=lambda: (),
     store=lambda successes, batch, transitions, key: (successes, {}),
-    train=lambda successes, learner: (learner, {}),
+    train=lambda successes, learner, optimizer: (learner, {}),
 )
 
 
 def make_imitation(
     env: Environment,
     networks: ActorCritic,
-    optimizer: optax.GradientTransformation,
     config: ImitationConfig,
     ppo: PPOConfig,
     has_skills: bool,
@@ -115,7 +115,6 @@ def make_imitation(
     Args:
         env: environment.
         networks: actor and critic. The actor imitates.
-        optimizer: optimizer of the networks, which counts these steps beside those of PPO.
         config: settings.
         ppo: lengths, sizes and discount.
         has_skills: if True, the actor depends on skills.
@@ -131,7 +130,7 @@ def make_imitation(
         to_come = reward_to_come(outcome.reward, outcome.done, ppo.discount)
         return insert(successes, batch, cut(to_come, ppo.sequence_length), config.inserts, key)
 
-    def train(successes: Successes, learner: Learner):
+    def train(successes: Successes, learner: Learner, optimizer: optax.GradientTransformation):
         def step(learner, _):
             return gradient_step(learner, optimizer, loss, successes)
 

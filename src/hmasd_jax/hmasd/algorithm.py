@@ -12,9 +12,9 @@ from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
-    high_step_factor,
     low_entropy_coef,
     skill_weight,
+    step_factor,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -208,8 +208,8 @@ def coordinator_objective(
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
-    step_factor = high_step_factor(parts, bonus_state)
-    return scale_steps(parts.coordinator_optimizer, step_factor), loss_fn
+    factor = step_factor(parts, bonus_state)
+    return scale_steps(parts.coordinator_optimizer, factor), loss_fn
 
 
 def train_discoverer(
@@ -222,9 +222,14 @@ def train_discoverer(
         return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)
 
     return ppo_epochs(
-        parts.discoverer_optimizer, loss_fn, state.discoverer, state.discoverer_norm,
+        discoverer_optimizer(parts, state), loss_fn, state.discoverer, state.discoverer_norm,
         batch, key, parts.config.ppo,
     )  # fmt: skip
+
+
+def discoverer_optimizer(parts: Parts, state: HMASDState) -> optax.GradientTransformation:
+    """Return the optimizer of Eq. 7 and of imitation, with the step sizes of one update."""
+    return scale_steps(parts.discoverer_optimizer, step_factor(parts, state.bonus))
 
 
 def train_discriminators(
@@ -270,6 +275,7 @@ def train_exploration(
     successes, store_metrics = parts.imitation.store(
         state.successes, batch, rollout.transitions, key_store
     )
-    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer)
+    optimizer = discoverer_optimizer(parts, state)
+    discoverer, imitation_metrics = parts.imitation.train(successes, discoverer, optimizer)
     fields = {"distance": distance, "successes": successes}
     return discoverer, fields, distance_metrics | store_metrics | imitation_metrics

@@ -62,11 +62,12 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     return config.high_entropy_coef + config.solved_entropy_coef * solved
 
 
-def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
+def step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the factor of the steps of both levels, which may fall with the unsolved episodes.
 
-    Normalized advantages have no scale. Where every episode succeeds they are noise, and Adam
-    follows it in steps of full length, until they change the assignments that the team needs.
+    Normalized advantages have no scale. Where every episode succeeds they are mostly noise, and
+    Adam follows it in steps of full length, until it changes the assignments or the actions that
+    the team needs.
     """
     factor = parts.config.solved_step_factor
     if factor == 1:

@@ -39,7 +39,7 @@ class Parts:
     discoverer: ActorCritic
     discriminators: Discriminators
     coordinator_optimizer: optax.GradientTransformationExtraArgs
-    discoverer_optimizer: optax.GradientTransformation
+    discoverer_optimizer: optax.GradientTransformationExtraArgs
     discriminator_optimizer: optax.GradientTransformation
     distance: SkillReward
     bonus: Bonus
@@ -61,7 +61,6 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
         )
     discoverer = make_discoverer(env, config)
     low_steps = ppo.steps_per_update + config.imitation.steps_per_update
-    discoverer_optimizer = make_optimizer(ppo, NETWORKS, low_steps)
     return Parts(
         env=env,
         config=config,
@@ -69,7 +68,7 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
         discoverer=discoverer,
         discriminators=make_discriminators(config),
         coordinator_optimizer=make_optimizer(ppo, ["params"]),
-        discoverer_optimizer=discoverer_optimizer,
+        discoverer_optimizer=make_optimizer(ppo, NETWORKS, low_steps),
         discriminator_optimizer=make_optimizer(
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
@@ -77,9 +76,7 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
         bonus=add(
             make_novelty(env, config.novelty), make_frontier(env, config.frontier, ppo.num_envs)
         ),
-        imitation=make_imitation(
-            env, discoverer, discoverer_optimizer, config.imitation, ppo, has_skills=True
-        ),
+        imitation=make_imitation(env, discoverer, config.imitation, ppo, has_skills=True),
     )
 
 

@@ -88,7 +88,7 @@ class HMASDConfig:
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
     solved_step_factor: float = 1.0
-    """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
+    """Factor of the steps of both levels once a reward ends every episode. It is 1 while none does,
     and linear between. Needs the `frontier`, which counts these episodes."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""

@@ -228,7 +228,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
         state.norm, batch, key_epochs, ppo,
     )  # fmt: skip
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
-    learner, imitation_metrics = parts.imitation.train(successes, learner)
+    learner, imitation_metrics = parts.imitation.train(successes, learner, parts.optimizer)
     explore_metrics = bonus_metrics | store_metrics | imitation_metrics
     metrics |= {f"exploration/{k}": v for k, v in explore_metrics.items()}
     next_state = MAPPOState(

@@ -84,19 +84,16 @@ def make_parts(env: Environment, config: MAPPOConfig) -> Parts:
         actor=net(env.num_actions, size, gain=SMALL_GAIN), critic=net(1, size, gain=1.0)
     )
     steps = config.ppo.steps_per_update + config.imitation.steps_per_update
-    optimizer = make_optimizer(config.ppo, NETWORKS, steps)
     return Parts(
         env=env,
         config=config,
         networks=networks,
-        optimizer=optimizer,
+        optimizer=make_optimizer(config.ppo, NETWORKS, steps),
         bonus=add(
             make_novelty(env, config.novelty),
             make_frontier(env, config.frontier, config.ppo.num_envs),
         ),
-        imitation=make_imitation(
-            env, networks, optimizer, config.imitation, config.ppo, has_skills=False
-        ),
+        imitation=make_imitation(env, networks, config.imitation, config.ppo, has_skills=False),
     )
 
 
