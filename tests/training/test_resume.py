@@ -135,6 +135,26 @@ def test_a_seed_that_another_process_trains_fails_alone(unequal):
     assert "another process is training" in results[0].data["message"]
 
 
+@pytest.mark.parametrize("changed", [{}, {"algorithm.scale": 2.0}])
+def test_a_checkpoint_that_does_not_fit_ends_its_seed_before_anything_compiles(
+    changed, unequal, monkeypatch
+):
+    """Take the checkpoint of another configuration, or damage it if none is changed."""
+    job = unequal
+    if changed:
+        config = load(None, SETTINGS | {"total_env_steps": 160} | changed)
+        job = Job(job.run, config, *build(config), (), job.report, job.should_stop)
+    else:
+        (checkpoint_folder(job.run, 1) / "80.npz").write_bytes(b"")
+    compiled = []
+    monkeypatch.setattr(loop, "_train_group", lambda job, seeds, env_steps: compiled.extend(seeds))
+    results = train_seeds(job, [0, 1])
+    assert [seed.index for seed in compiled] == [0]
+    assert results[1].kind == "failed"
+    words = "algorithm.scale (saved" if changed else "is damaged"
+    assert words in results[1].data["message"]
+
+
 @pytest.fixture
 def finished(tmp_path):
     run = tmp_path / "run"

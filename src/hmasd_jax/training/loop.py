@@ -35,13 +35,17 @@ def train_seeds(job: Job, indices: list[int]) -> dict[int, Event]:
         The last event of each seed, of kind `finished`, `interrupted` or `failed`.
     """
     seeds = [SeedRun(job, index) for index in indices]
+    template = state_template(job.algorithm)
     groups: dict[int, list[SeedRun]] = {}
     with ExitStack() as locks:
         for seed in seeds:
             with _failing(job.run, [seed]):
                 # First the lock: until then another process may save a later checkpoint.
                 locks.enter_context(lock(job.run, seed.index))
-                groups.setdefault(latest_step(seed.checkpoints) or 0, []).append(seed)
+                env_steps = latest_step(seed.checkpoints) or 0
+                if env_steps:  # What cannot be read fails now, not after minutes of compiling.
+                    seed.restore(template, env_steps)
+                groups.setdefault(env_steps, []).append(seed)
         for env_steps, group in sorted(groups.items()):
             with _failing(job.run, group):
                 _train_group(job, group, env_steps)
