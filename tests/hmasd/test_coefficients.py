@@ -5,6 +5,7 @@ from dataclasses import replace
 import chex
 import jax
 import jax.numpy as jnp
+import optax
 import pytest
 from numpy.testing import assert_allclose
 
@@ -15,11 +16,12 @@ from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     low_entropy_coef,
     skill_weight,
+    step_factor,
     unknown_share,
 )
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.distance import DistanceConfig
-from tests.helpers.algorithms import lower_all
+from hmasd_jax.types import Learner
 
 
 def test_a_solved_task_raises_all_that_keeps_skills_apart(parts, monkeypatch):
@@ -91,19 +93,35 @@ def test_what_q_knows_is_measured_against_chance(q, num_skills, expected):
 def test_without_the_settings_nothing_is_traced(half_solved):
     """A constant that becomes traced rounds the whole update differently."""
     parts, state = half_solved
-    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
+    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0, solved_step_factor=1.0)
     parts = replace(parts, config=config)
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
     assert type(high_entropy_coef(parts, state)) is float
+    assert type(step_factor(parts, state)) is float
+
+
+@pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
+def test_steps_shorten_with_the_unsolved_episodes(parts, unsolved, factor):
+    parts = replace(
+        parts,
+        config=replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=0.1),
+        bonus=parts.bonus._replace(unsolved=lambda share: share),
+    )
+    assert_allclose(step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
 
 
 def test_a_factor_of_zero_stops_both_levels_and_nothing_else(parts, trained):
     """Adam's moments, the normalizers and the discriminators go on. Imitation stops, too."""
 
+    def imitate(_, learner, optimizer):
+        gradient = jax.tree.map(jnp.ones_like, learner.params)
+        updates, opt_state = optimizer.update(gradient, learner.opt_state, learner.params)
+        return Learner(optax.apply_updates(learner.params, updates), opt_state), {}
+
     def update(factor):
         config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=factor)
         bonus = parts.bonus._replace(unsolved=lambda _: jnp.float32(0))
-        imitation = NO_IMITATION._replace(train=lower_all)
+        imitation = NO_IMITATION._replace(train=imitate)
         changed = replace(parts, config=config, bonus=bonus, imitation=imitation)
         return jax.jit(lambda state: algorithm.train_iteration(changed, state)[0])(trained)
 

@@ -32,23 +32,6 @@ class Bonus(NamedTuple):
     """`unsolved(bonus_state)`: share of recent episodes that no reward ended."""
 
 
-def step_factor(bonus: Bonus, bonus_state: Any, solved: float) -> float | Float[Array, ""]:
-    """Return the factor of a learner's steps, which may fall as episodes are solved.
-
-    Normalized advantages have no scale. Where every episode succeeds they are mostly noise, and
-    Adam follows it in steps of full length, until it changes what the team needs.
-
-    Args:
-        bonus: bonus that counts the solved episodes.
-        bonus_state: state of the bonus.
-        solved: factor once a reward ends every episode. With 1 the factor is a constant of Python,
-            as a traced number would round the whole update differently.
-    """
-    if solved == 1:
-        return 1.0
-    return solved + (1.0 - solved) * bonus.unsolved(bonus_state)
-
-
 NO_BONUS = Bonus(
     init=lambda key: (),
     update=lambda bonus_state, outcome, key: (bonus_state, jnp.zeros_like(outcome.reward), {}),

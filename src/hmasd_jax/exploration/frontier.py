@@ -29,7 +29,7 @@ ended. Battles that are won by a sequence of right actions are lost by one that 
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -67,21 +67,6 @@ class FrontierConfig:
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
         check_range(self, "forgetting", low=0, high=1)
-
-
-def check_frontier_counts(config: Any, **constant: float) -> None:
-    """Raise an error if a setting depends on solved episodes, and no frontier counts them.
-
-    Args:
-        config: settings of an algorithm, which include `frontier`.
-        **constant: the value of each such setting that needs no count.
-    """
-    for name, value in constant.items():
-        if getattr(config, name) != value and config.frontier.coef == 0:
-            raise ValueError(
-                f"{name} {getattr(config, name)} needs frontier.coef above 0: the frontier knows "
-                "when the task is solved"
-            )
 
 
 class Frontier(NamedTuple):

@@ -9,12 +9,12 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax.exploration.bonus import step_factor
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     low_entropy_coef,
     skill_weight,
+    step_factor,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -208,7 +208,7 @@ def coordinator_objective(
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
-    factor = step_factor(parts.bonus, bonus_state, parts.config.solved_step_factor)
+    factor = step_factor(parts, bonus_state)
     return scale_steps(parts.coordinator_optimizer, factor), loss_fn
 
 
@@ -229,8 +229,7 @@ def train_discoverer(
 
 def discoverer_optimizer(parts: Parts, state: HMASDState) -> optax.GradientTransformation:
     """Return the optimizer of Eq. 7 and of imitation, with the step sizes of one update."""
-    factor = step_factor(parts.bonus, state.bonus, parts.config.solved_step_factor)
-    return scale_steps(parts.discoverer_optimizer, factor)
+    return scale_steps(parts.discoverer_optimizer, step_factor(parts, state.bonus))
 
 
 def train_discriminators(

@@ -1,4 +1,4 @@
-"""Coefficients of Eqs. 4, 6 and 7 that change in training.
+"""Coefficients of Eqs. 4, 6 and 7, and of their steps, that change in training.
 
 The paper keeps them constant. Each function returns a constant of Python where its settings leave
 the coefficient constant. A traced number would round the whole update differently.
@@ -60,6 +60,19 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
         return config.high_entropy_coef
     solved = all_solved(parts, bonus_state)
     return config.high_entropy_coef + config.solved_entropy_coef * solved
+
+
+def step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the factor of the steps of both levels, which may fall with the unsolved episodes.
+
+    Normalized advantages have no scale. Where every episode succeeds they are mostly noise, and
+    Adam follows it in steps of full length, until it changes the assignments or the actions that
+    the team needs.
+    """
+    factor = parts.config.solved_step_factor
+    if factor == 1:
+        return 1.0
+    return factor + (1.0 - factor) * parts.bonus.unsolved(bonus_state)
 
 
 def low_entropy_coef(
