@@ -3,9 +3,11 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from hmasd_jax.runs.checkpoint import state_template
+from hmasd_jax.types import Learner
 
 
 def assert_no_key_is_used_twice(algorithm, num_envs):
@@ -45,3 +47,10 @@ def draw_like(shapes, seed):
         return jnp.zeros(leaf.shape, leaf.dtype)
 
     return jax.tree_util.tree_map_with_path(draw, shapes)
+
+
+def lower_all(_, learner, optimizer):
+    """Lower all parameters by one step, as the training of an imitation."""
+    gradient = jax.tree.map(jnp.ones_like, learner.params)
+    updates, opt_state = optimizer.update(gradient, learner.opt_state, learner.params)
+    return Learner(optax.apply_updates(learner.params, updates), opt_state), {}

@@ -5,7 +5,6 @@ from dataclasses import replace
 import chex
 import jax
 import jax.numpy as jnp
-import optax
 import pytest
 from numpy.testing import assert_allclose
 
@@ -14,14 +13,15 @@ from hmasd_jax.exploration.successes import NO_IMITATION
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
+    high_step_factor,
     low_entropy_coef,
+    low_step_factor,
     skill_weight,
-    step_factor,
     unknown_share,
 )
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.distance import DistanceConfig
-from hmasd_jax.types import Learner
+from tests.helpers.algorithms import lower_all
 
 
 def test_a_solved_task_raises_all_that_keeps_skills_apart(parts, monkeypatch):
@@ -93,48 +93,54 @@ def test_what_q_knows_is_measured_against_chance(q, num_skills, expected):
 def test_without_the_settings_nothing_is_traced(half_solved):
     """A constant that becomes traced rounds the whole update differently."""
     parts, state = half_solved
-    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0, solved_step_factor=1.0)
+    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
     parts = replace(parts, config=config)
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
     assert type(high_entropy_coef(parts, state)) is float
-    assert type(step_factor(parts, state)) is float
+    assert type(high_step_factor(parts, state)) is float
+    assert type(low_step_factor(parts, state)) is float
 
 
-@pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
-def test_steps_shorten_with_the_unsolved_episodes(parts, unsolved, factor):
-    parts = replace(
-        parts,
-        config=replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=0.1),
-        bonus=parts.bonus._replace(unsolved=lambda share: share),
-    )
-    assert_allclose(step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
+@pytest.mark.parametrize(
+    ("unsolved", "high", "low"), [(1.0, 1.0, 1.0), (0.5, 0.55, 0.95), (0.0, 0.1, 0.2)]
+)
+def test_steps_shorten_as_episodes_are_solved(half_solved, unsolved, high, low):
+    """The chance that all four copies win is 1 / 16 where half of the episodes are solved."""
+    parts, _ = half_solved
+    config = replace(parts.config, solved_step_factor=0.1, solved_low_step_factor=0.2)
+    parts = replace(parts, config=config)
+    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), high, rtol=1e-6)
+    assert_allclose(low_step_factor(parts, jnp.float32(unsolved)), low, rtol=1e-6)
 
 
-def test_a_factor_of_zero_stops_both_levels_and_nothing_else(parts, trained):
-    """Adam's moments, the normalizers and the discriminators go on. Imitation stops, too."""
-
-    def imitate(_, learner, optimizer):
-        gradient = jax.tree.map(jnp.ones_like, learner.params)
-        updates, opt_state = optimizer.update(gradient, learner.opt_state, learner.params)
-        return Learner(optax.apply_updates(learner.params, updates), opt_state), {}
+@pytest.mark.parametrize(
+    ("level", "other", "name"),
+    [
+        ("coordinator", "discoverer", "solved_step_factor"),
+        ("discoverer", "coordinator", "solved_low_step_factor"),
+    ],
+)
+def test_a_factor_of_zero_stops_its_level_alone(parts, trained, level, other, name):
+    """Adam's moments, the normalizers and the other learners go on. Imitation stops, too."""
 
     def update(factor):
-        config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_step_factor=factor)
+        config = replace(parts.config, frontier=FrontierConfig(coef=1.0), **{name: factor})
         bonus = parts.bonus._replace(unsolved=lambda _: jnp.float32(0))
-        imitation = NO_IMITATION._replace(train=imitate)
+        imitation = NO_IMITATION._replace(train=lower_all)
         changed = replace(parts, config=config, bonus=bonus, imitation=imitation)
         return jax.jit(lambda state: algorithm.train_iteration(changed, state)[0])(trained)
 
     stopped, plain = update(0.0), update(1.0)
-    for level in ("coordinator", "discoverer"):
-        before, held, moved = (getattr(x, level) for x in (trained, stopped, plain))
-        chex.assert_trees_all_equal(held.params, before.params)
-        with pytest.raises(AssertionError):
-            chex.assert_trees_all_close(held.opt_state, before.opt_state, rtol=1e-4)
-        with pytest.raises(AssertionError):
-            chex.assert_trees_all_close(held.params, moved.params, atol=1e-4)
-    chex.assert_trees_all_close(stopped.coordinator_norm, plain.coordinator_norm, rtol=1e-4)
-    chex.assert_trees_all_close(stopped.discriminators, plain.discriminators, rtol=1e-4, atol=1e-5)
+    before, held, moved = (getattr(state, level) for state in (trained, stopped, plain))
+    chex.assert_trees_all_equal(held.params, before.params)
+    for same in (other, "discriminators", "coordinator_norm", "discoverer_norm"):
+        chex.assert_trees_all_close(
+            getattr(stopped, same), getattr(plain, same), rtol=1e-4, atol=1e-5
+        )
+    with pytest.raises(AssertionError):
+        chex.assert_trees_all_close(held.opt_state, before.opt_state, rtol=1e-4)
+    with pytest.raises(AssertionError):
+        chex.assert_trees_all_close(held.params, moved.params, atol=1e-4)
 
 
 def entropy_weight(parts, num_updates, bonus_state=(), **changes):
@@ -158,7 +164,12 @@ def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("solved_gain", 2.0), ("solved_entropy_coef", 2.0), ("solved_step_factor", 0.5)],
+    [
+        ("solved_gain", 2.0),
+        ("solved_entropy_coef", 2.0),
+        ("solved_step_factor", 0.5),
+        ("solved_low_step_factor", 0.5),
+    ],
 )
 def test_what_changes_on_solved_tasks_needs_to_know_them(config, name, value):
     with pytest.raises(ValueError, match=rf"{name} {value} needs frontier.coef above 0"):

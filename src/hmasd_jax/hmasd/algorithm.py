@@ -12,9 +12,10 @@ from envs_jax import Environment
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
+    high_step_factor,
     low_entropy_coef,
+    low_step_factor,
     skill_weight,
-    step_factor,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -208,8 +209,8 @@ def coordinator_objective(
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
-    factor = step_factor(parts, bonus_state)
-    return scale_steps(parts.coordinator_optimizer, factor), loss_fn
+    step_factor = high_step_factor(parts, bonus_state)
+    return scale_steps(parts.coordinator_optimizer, step_factor), loss_fn
 
 
 def train_discoverer(
@@ -229,7 +230,7 @@ def train_discoverer(
 
 def discoverer_optimizer(parts: Parts, state: HMASDState) -> optax.GradientTransformation:
     """Return the optimizer of Eq. 7 and of imitation, with the step sizes of one update."""
-    return scale_steps(parts.discoverer_optimizer, step_factor(parts, state.bonus))
+    return scale_steps(parts.discoverer_optimizer, low_step_factor(parts, state.bonus))
 
 
 def train_discriminators(

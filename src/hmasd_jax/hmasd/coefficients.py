@@ -62,17 +62,28 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     return config.high_entropy_coef + config.solved_entropy_coef * solved
 
 
-def step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the factor of the steps of both levels, which may fall with the unsolved episodes.
+def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
 
-    Normalized advantages have no scale. Where every episode succeeds they are mostly noise, and
-    Adam follows it in steps of full length, until it changes the assignments or the actions that
-    the team needs.
+    Normalized advantages have no scale. Where every episode succeeds they are noise, and Adam
+    follows it in steps of full length, until they change the assignments that the team needs.
     """
     factor = parts.config.solved_step_factor
     if factor == 1:
         return 1.0
     return factor + (1.0 - factor) * parts.bonus.unsolved(bonus_state)
+
+
+def low_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the factor of the discoverer's steps, which may fall once all copies succeed.
+
+    The discoverer drifts where every episode succeeds, too. Where some fail it still learns, and
+    steps that shorten with the unsolved episodes alone would leave the last ones unsolved.
+    """
+    factor = parts.config.solved_low_step_factor
+    if factor == 1:
+        return 1.0
+    return 1.0 - (1.0 - factor) * all_solved(parts, bonus_state)
 
 
 def low_entropy_coef(

@@ -88,8 +88,11 @@ class HMASDConfig:
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
     solved_step_factor: float = 1.0
-    """Factor of the steps of both levels once a reward ends every episode. It is 1 while none does,
+    """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
     and linear between. Needs the `frontier`, which counts these episodes."""
+    solved_low_step_factor: float = 1.0
+    """Factor of the discoverer's steps once a reward ends every episode. It is near 1 until a
+    reward ends the episodes of all copies by chance. Needs the `frontier`."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
@@ -112,8 +115,11 @@ class HMASDConfig:
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", low=0)
-        check_range(self, "solved_step_factor", low=0, high=1)
-        constant = {"solved_gain": 0, "solved_entropy_coef": 0, "solved_step_factor": 1}
+        check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
+        constant = {
+            "solved_gain": 0, "solved_entropy_coef": 0,
+            "solved_step_factor": 1, "solved_low_step_factor": 1,
+        }  # fmt: skip
         for name, value in constant.items():
             if getattr(self, name) != value and self.frontier.coef == 0:
                 raise ValueError(
