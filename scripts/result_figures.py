@@ -24,7 +24,7 @@ TOGETHER = ("compared", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
 RETIRED = (
     "hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_before",
-    "hmasd_general_clipped", "hmasd_general_coordinator", "mappo_general_before",
+    "hmasd_general_clipped", "hmasd_general_both_levels",
 )  # fmt: skip
 """Beginnings of the names of runs with retired presets, and of steps towards them."""
 STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
