@@ -77,8 +77,8 @@ def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]
 def low_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
     """Return the factor of the discoverer's steps, which may fall once all copies succeed.
 
-    The discoverer drifts where every episode succeeds, too. Where some fail it still learns, and
-    steps that shorten with the unsolved episodes alone would leave the last ones unsolved.
+    The discoverer of a solved task drifts, too. Where some episodes fail it still learns, and steps
+    in proportion to these would leave the last ones unsolved.
     """
     factor = parts.config.solved_low_step_factor
     if factor == 1:

@@ -91,8 +91,8 @@ class HMASDConfig:
     """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
     and linear between. Needs the `frontier`, which counts these episodes."""
     solved_low_step_factor: float = 1.0
-    """Factor of the discoverer's steps once a reward ends every episode. It is near 1 until a
-    reward ends the episodes of all copies by chance. Needs the `frontier`."""
+    """Factor of the discoverer's steps once a reward ends every episode. It falls from 1 with the
+    chance that a reward ends the episodes of all copies. Needs the `frontier`, too."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
