@@ -7,7 +7,6 @@ every five updates. Repetitions differ in their random numbers alone. The settin
 shapes of the train state as they are.
 """
 
-import argparse
 import json
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ import jax
 from hmasd_jax import config as configs
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.training.compiled import build_executable
-from scripts.records import describe_script, write_rows
+from scripts.records import checkpoint_parser, describe_script, write_rows
 
 POOLED = 5
 """Updates per number."""
@@ -48,13 +47,8 @@ def continue_training(
 
 def main() -> None:
     """Read the arguments, go on, and write the record."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of a run")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    parser.add_argument("--seed", type=int, default=0, help="index of the seed in the run")
-    parser.add_argument("--step", type=int, required=True, help="step of the checkpoint")
+    parser = checkpoint_parser(__doc__, "folder of a run", updates=100)
     parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="other settings")
-    parser.add_argument("--updates", type=int, default=100, help="updates to do")
     parser.add_argument("--repetitions", type=int, default=4, help="times to do them")
     args = parser.parse_args()
     about = describe_script(args.run)

@@ -34,8 +34,8 @@ def write_rows(out: Path, about: dict[str, Any], rows: list[dict[str, Any]]) -> 
     run_folder.write_json(out, about | {"rows": rows})
 
 
-def parse_run_and_out(doc: str | None, run_help: str) -> argparse.Namespace:
-    """Read the arguments RUN and OUT of a script.
+def run_and_out_parser(doc: str | None, run_help: str) -> argparse.ArgumentParser:
+    """Return a parser of the arguments RUN and OUT of a script.
 
     Args:
         doc: docstring of the script, whose first line describes it.
@@ -44,7 +44,22 @@ def parse_run_and_out(doc: str | None, run_help: str) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=(doc or "").splitlines()[0])
     parser.add_argument("run", type=Path, metavar="RUN", help=run_help)
     parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    return parser.parse_args()
+    return parser
+
+
+def checkpoint_parser(doc: str | None, run_help: str, updates: int) -> argparse.ArgumentParser:
+    """Return a parser of RUN, OUT, a checkpoint of RUN and a number of updates after it.
+
+    Args:
+        doc: docstring of the script, whose first line describes it.
+        run_help: kind of run that the script reads.
+        updates: default number of updates.
+    """
+    parser = run_and_out_parser(doc, run_help)
+    parser.add_argument("--seed", type=int, default=0, help="index of the seed in the run")
+    parser.add_argument("--step", type=int, required=True, help="step of the checkpoint")
+    parser.add_argument("--updates", type=int, default=updates, help="number of updates")
+    return parser
 
 
 def record_seeds(
@@ -57,7 +72,7 @@ def record_seeds(
         run_help: kind of run that the script reads.
         measure: function of the folder of a run and the index of a seed.
     """
-    args = parse_run_and_out(doc, run_help)
+    args = run_and_out_parser(doc, run_help).parse_args()
     about = describe_script(args.run)
     rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
     write_rows(args.out, about, rows)

@@ -8,7 +8,6 @@ then and the discoverer of the checkpoint, and the other way round; and for each
 the coordinator its gradient's norm and the KL divergence before it. No parameters are averaged.
 """
 
-import argparse
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.sgd import ppo_step
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.types import Learner
-from scripts.records import describe_script, write_rows
+from scripts.records import checkpoint_parser, describe_script, write_rows
 
 EPISODES = 200
 
@@ -91,13 +90,7 @@ def replay(run: Path, seed: int, step: int, num_updates: int) -> list[dict[str, 
 
 def main() -> None:
     """Replay the updates that the command line asks for."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("run", type=Path, metavar="RUN", help="folder of an HMASD run")
-    parser.add_argument("out", type=Path, metavar="OUT", help="JSON file to write")
-    parser.add_argument("--seed", type=int, default=0, help="index of the seed")
-    parser.add_argument("--step", type=int, required=True, help="environment steps done")
-    parser.add_argument("--updates", type=int, default=4, help="number of updates")
-    args = parser.parse_args()
+    args = checkpoint_parser(__doc__, "folder of an HMASD run", updates=4).parse_args()
     about = describe_script(args.run)
     write_rows(args.out, about, replay(args.run, args.seed, args.step, args.updates))
 

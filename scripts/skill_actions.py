@@ -20,7 +20,7 @@ from hmasd_jax.rl.evaluate import play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Policy, Transition
-from scripts.records import describe_script, parse_run_and_out, write_rows
+from scripts.records import describe_script, run_and_out_parser, write_rows
 
 COPIES = 200
 ACTIONS = ("stop", "north", "south", "east", "west", "attack")
@@ -74,7 +74,7 @@ def action_shares(actions: np.ndarray) -> dict[str, float]:
 
 def main() -> None:
     """Measure all skills of all seeds of the run and write the record."""
-    args = parse_run_and_out(__doc__, "folder of a run on micro_battle")
+    args = run_and_out_parser(__doc__, "folder of a run on micro_battle").parse_args()
     about = describe_script(args.run)
     num_skills = run_folder.read_config(args.run).algorithm.num_skills
     rows = []
