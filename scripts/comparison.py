@@ -17,7 +17,7 @@ from benchmarks.time_to_solve import have_learned
 from scripts.paper import TASKS, final_scores, summarize_record
 from scripts.records import RESULTS
 from scripts.result_settings import changed_settings
-from scripts.run_records import recorded_seeds, stopped
+from scripts.run_records import cut_seeds, recorded_seeds, stopped
 
 SYSTEMS = ("hmasd", "mappo", "mat", "maser", "eiti", "edti")
 """Systems of the table, in its order."""
@@ -50,11 +50,13 @@ class Cell(NamedTuple):
         return " ".join(words)
 
     def missing(self) -> list[int]:
-        """Return the seeds that are not recorded with the settings of today."""
+        """Return the seeds that are not recorded to the end with the settings of today."""
         record = find_record(self.task, self.name)
-        is_of_today = record is not None and not changed_settings(record, self.overrides)
-        recorded = recorded_seeds(record) if is_of_today else []
-        return [seed for seed in range(self.seeds) if seed not in recorded]
+        if record is None or changed_settings(record, self.overrides):
+            return list(range(self.seeds))
+        cut = cut_seeds(record)
+        done = [seed for place, seed in enumerate(recorded_seeds(record)) if place not in cut]
+        return [seed for seed in range(self.seeds) if seed not in done]
 
 
 def find_record(task: str, name: str) -> dict[str, Any] | None:
@@ -124,6 +126,10 @@ def shown(task: str, system: str) -> str:
     final = summarize_record(record, TASKS[task])
     mark = " *" if changed_settings(record) else ""
     seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}{stopped(record)}"
+    if cut_seeds(record):
+        seeds += (
+            f", {record['env_steps'][-1] / record['config']['total_env_steps']:.0%} of the steps"
+        )
     return f"{final['mean']:.1f} ± {final['std']:.1f} ({seeds}){mark}<br>{paper}"
 
 

@@ -21,7 +21,7 @@ from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
-from scripts.run_records import add_seeds, of_each_seed, record_together, stopped
+from scripts.run_records import add_seeds, cut_seeds, of_each_seed, record_together, stopped
 
 PAGE = ROOT / "docs" / "results.md"
 
@@ -39,7 +39,8 @@ without compilation, summed over the seeds, or of all seeds at once on a GPU.
 
 A seed that has no reward in the first half of its steps, in training or evaluation, may be stopped
 there. It scores 0. Of the seeds that were trained to the end, 41 had no reward in that half, and
-none of them learned anything later.
+none of them learned anything later. Where other seeds ended early, the table gives their steps
+beside the steps of the preset.
 
 A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
 
@@ -87,10 +88,11 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     final = summarize_record(kept, task)
     low, high = final["interval"]
     mark = " *" if changed_settings(kept) else ""
+    cut = bool(cut_seeds(kept))
     cells = [
         f"[{path.stem}](../{path.relative_to(ROOT)}){mark}",
         f"{final['seeds']}{stopped(kept)}",
-        f"{kept['env_steps'][-1]:,}",
+        f"{kept['env_steps'][-1]:,}" + f" of {kept['config']['total_env_steps']:,}" * cut,
         task.paper.get(path.stem) or task.paper.get(algorithm_of(path), ""),
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",

@@ -20,25 +20,36 @@ from scripts.records import RESULTS
 
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
-TOGETHER = ("compared", "retired", "ablations", *SKILLS)
+TOGETHER = ("compared", "general", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
 RETIRED = (
     "hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_before",
     "hmasd_general_clipped", "hmasd_general_both_levels",
 )  # fmt: skip
 """Beginnings of the names of runs with retired presets, and of steps towards them."""
-STYLES = ("hmasd", "hmasd_general", "mappo_general", "mappo", "mat")
+GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
+"""Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
+STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
 """Configurations that look the same in all images."""
 
 
 def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
-    """Return the files that each image shows; images of HMASD alone are left out."""
-    beginnings = (RETIRED, "no", *(f"hmasd_{setting}" for setting in SKILLS))
-    groups = [[path for path in files if path.stem.startswith(begin)] for begin in beginnings]
-    others = [path for path in files if not any(path in group for group in groups)]
-    full = [path for path in files if path.stem == "hmasd"]
-    images = dict(zip(TOGETHER, (others, *(full + group for group in groups))))
-    return {name: paths for name, paths in images.items() if paths != full}
+    """Return the files that each image shows, beside those of the presets in use."""
+    rest = list(files)
+
+    def take(*beginnings: str) -> list[Path]:
+        found = [path for path in rest if path.stem.startswith(beginnings)]
+        rest[:] = [path for path in rest if path not in found]
+        return found
+
+    retired, general, ablations = take(*RETIRED), take(*GENERAL), take("no")
+    skills = [take(f"hmasd_{setting}") for setting in SKILLS]
+    full = [path for path in rest if path.stem == "hmasd"]
+    presets = [path for path in rest if path.stem in ("hmasd", "hmasd_general")]
+    systems = [path for path in rest if path not in full]
+    beside = (full, presets, *[full] * len(TOGETHER[2:]))
+    groups = (systems, general, retired, ablations, *skills)
+    return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
 
 def styles_of(names: Sequence[str]) -> list[int]:

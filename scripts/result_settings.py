@@ -21,9 +21,9 @@ def changed_settings(
 ) -> dict[str, tuple[Any, Any]]:
     """Return the settings of a record that its preset has with another value today.
 
-    Each comes with the recorded value and the preset's. Seeds and the number of steps, which are
-    not the preset's choice, and settings that no longer exist are left out. A setting that did not
-    exist at the time has its default.
+    Each comes with the recorded value and the preset's. Seeds, the number of steps and the interval
+    of checkpoints, which are not the preset's choice, and settings that no longer exist are left
+    out. A setting that did not exist at the time has its default.
 
     Args:
         record: record of a run.
@@ -47,7 +47,7 @@ def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]
 def _compared(table: dict[str, Any]) -> dict[str, Any]:
     """Return by dotted name what is compared, with the state's format spelled out."""
     settings = identity(table)
-    del settings["seed"]
+    del settings["seed"], settings["checkpoint_interval"]
     if settings["env.name"] == "micro_battle" and settings["env.state"] is None:
         settings["env.state"] = settings["env.observation"]
     return settings

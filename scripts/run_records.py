@@ -113,7 +113,8 @@ def _join(first: dict[str, Any], second: dict[str, Any], name: str) -> dict[str,
     steps = max(first["env_steps"], second["env_steps"], key=len)
     for part in (first, second):
         own = part["env_steps"]
-        may_end = own == steps or (2 * own[-1] >= steps[-1] and not had_reward(part))
+        rewarded = any(had_reward(part, seed) for seed in range(len(part["values"])))
+        may_end = own == steps or (2 * own[-1] >= steps[-1] and not rewarded)
         if own != steps[: len(own)] or not may_end:
             raise ValueError(
                 f"{name} was not evaluated at the steps of the others: finish all with --resume"
@@ -121,18 +122,30 @@ def _join(first: dict[str, Any], second: dict[str, Any], name: str) -> dict[str,
     return {"env_steps": steps, **{name: first[name] + second[name] for name in PER_SEED}}
 
 
-def had_reward(record: dict[str, Any]) -> bool:
-    """Return whether a seed of a record had any reward, in training or evaluation."""
-    training = (means.get("team_reward", []) for means in record["training_means"])
-    return any(x for values in (*record["values"], *training) for x in values)
+def had_reward(record: dict[str, Any], seed: int) -> bool:
+    """Return whether the seed at a position of a record had reward, in training or evaluation."""
+    means = record.get("training_means")  # The oldest records have none.
+    training = means[seed].get("team_reward", []) if means else []
+    return any(record["values"][seed]) or any(training)
 
 
 def stopped(record: dict[str, Any]) -> str:
     """Return how many seeds of a record were stopped without reward, for behind their number."""
+    count = sum(not had_reward(record, seed) for seed in _ended_early(record))
+    return f", {count} stopped" if count else ""
+
+
+def cut_seeds(record: dict[str, Any]) -> list[int]:
+    """Return the positions of the seeds that had reward and ended before the budget."""
+    return [seed for seed in _ended_early(record) if had_reward(record, seed)]
+
+
+def _ended_early(record: dict[str, Any]) -> list[int]:
+    """Return the positions of the seeds that have no evaluation at the end of the budget."""
     config, steps = record["config"], record["env_steps"]
     last = config["total_env_steps"] - config["eval_interval"]
-    count = sum(not any(x) and steps[len(x) - 1] <= last for x in record["values"])
-    return f", {count} stopped" if count else ""
+    ends = (steps[len(values) - 1] for values in record["values"])
+    return [seed for seed, end in enumerate(ends) if end <= last]
 
 
 def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:

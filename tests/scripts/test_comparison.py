@@ -47,6 +47,19 @@ def test_seeds_with_the_settings_of_today_count(monkeypatch):
     assert other.missing() == [1, 2, *range(4, 12)]
 
 
+def test_seeds_that_ended_early_are_missing_and_named(monkeypatch):
+    record = json.loads((RESULTS / "alice_and_bob/mappo.json").read_text())
+    record["config"]["total_env_steps"] *= 2
+    record["values"] = [[0.0] * len(values) for values in record["values"]]
+    record["values"][3][2] = 0.5
+    monkeypatch.setattr(comparison, "find_record", lambda *_: record)
+    monkeypatch.setattr(comparison, "changed_settings", lambda *_: {})
+    cell = Cell("alice_and_bob", "mappo", "mappo", 10, {})
+    assert cell.missing() == [3]
+    shown = comparison.shown("alice_and_bob", "mappo")
+    assert "9 stopped, 50% of the steps)" in shown
+
+
 def test_a_cell_that_was_not_run_says_so(monkeypatch):
     monkeypatch.setattr(comparison, "find_record", lambda *_: None)
     assert comparison.shown("micro_battle/3m", "maser") == "not run<br>62"

@@ -153,7 +153,15 @@ def test_a_seed_that_was_stopped_without_reward_is_recorded(stopped_run):
 
 def test_only_seeds_without_reward_count_as_stopped(stopped_run):
     kept = run_records.record(stopped_run)
-    assert run_records.stopped(kept | {"values": [[0.0] * 4, [0.5, 0.0]]}) == ""
+    assert run_records.cut_seeds(kept) == []
+    rewarded = kept | {"values": [[0.0] * 4, [0.5, 0.0]]}
+    assert (run_records.stopped(rewarded), run_records.cut_seeds(rewarded)) == ("", [1])
+
+
+def test_reward_in_training_alone_counts(stopped_run):
+    kept = run_records.record(stopped_run)
+    kept["training_means"][1] = {"team_reward": [0.0, 0.001]}
+    assert (run_records.stopped(kept), run_records.cut_seeds(kept)) == ("", [1])
 
 
 def test_a_seed_that_was_stopped_with_reward_is_not_recorded(stopped_run):

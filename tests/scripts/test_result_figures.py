@@ -20,8 +20,8 @@ def test_every_configuration_has_a_color_of_its_own(task, name, paths):
 
 
 def test_a_configuration_looks_the_same_in_all_images():
-    assert result_figures.styles_of(["hmasd", "mappo", "x"]) == [0, 3, 1]
-    assert result_figures.styles_of(["mappo", "hmasd_general", "x", "y"]) == [3, 1, 0, 2]
+    assert result_figures.styles_of(["hmasd", "mappo", "x"]) == [0, 2, 1]
+    assert result_figures.styles_of(["mappo", "hmasd_general", "x", "y"]) == [2, 1, 0, 3]
 
 
 def test_retired_presets_ablations_and_other_skills_have_images_of_their_own():
@@ -34,3 +34,12 @@ def test_retired_presets_ablations_and_other_skills_have_images_of_their_own():
         "num_skills": ["hmasd", "hmasd_num_skills_5"],
     }
     assert result_figures.shown([Path("hmasd.json")]) == {}
+
+
+def test_other_seeds_of_a_preset_are_shown_beside_it():
+    names = ("hmasd", "hmasd_general", "hmasd_general_again", "mappo", "mappo_general")
+    shown = result_figures.shown([Path(f"{name}.json") for name in names])
+    assert {name: [path.stem for path in paths] for name, paths in shown.items()} == {
+        "compared": ["hmasd", "hmasd_general", "mappo"],
+        "general": ["hmasd", "hmasd_general", "hmasd_general_again", "mappo_general"],
+    }

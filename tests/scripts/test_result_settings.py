@@ -30,7 +30,12 @@ def test_former_settings_and_other_words_for_the_same_are_no_differences():
     assert changed_settings(record) == {}
 
 
-def test_seeds_and_steps_are_no_differences():
+def test_seeds_steps_and_checkpoints_are_no_differences():
     record = _record("alice_and_bob/hmasd_robust_fresh")
-    changed = record["config"] | {"total_env_steps": 9_000_000, "num_seeds": 1, "seed": 7}
+    changed = record["config"] | {
+        "total_env_steps": 9_000_000,
+        "num_seeds": 1,
+        "seed": 7,
+        "checkpoint_interval": 400_000,
+    }
     assert changed_settings(record | {"config": changed}) == {}
