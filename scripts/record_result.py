@@ -51,6 +51,8 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 steps. In Overcooked no episode is solved, and the two are the same |
 | `_clipped` | a step between these two (6d33107): gradients clipped at a norm of 0.5, steps of \
 full length, and skills that are paid in Overcooked, too |
+| `_coordinator` | the step before the row without it (dee9840): only the coordinator's steps \
+shorten |
 | `_both_levels` | a step beside the row without it (19ab0f7): the discoverer's steps shorten like \
 the coordinator's |
 | `_robust` | a retired preset of ours with prior knowledge of the task |

@@ -24,7 +24,7 @@ TOGETHER = ("compared", "general", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
 RETIRED = (
     "hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_before",
-    "hmasd_general_clipped", "hmasd_general_both_levels",
+    "hmasd_general_clipped", "hmasd_general_coordinator", "hmasd_general_both_levels",
 )  # fmt: skip
 """Beginnings of the names of runs with retired presets, and of steps towards them."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
