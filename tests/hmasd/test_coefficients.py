@@ -15,7 +15,6 @@ from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     high_step_factor,
     low_entropy_coef,
-    low_step_factor,
     skill_weight,
     unknown_share,
 )
@@ -98,19 +97,13 @@ def test_without_the_settings_nothing_is_traced(half_solved):
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
     assert type(high_entropy_coef(parts, state)) is float
     assert type(high_step_factor(parts, state)) is float
-    assert type(low_step_factor(parts, state)) is float
 
 
-@pytest.mark.parametrize(
-    ("unsolved", "high", "low"), [(1.0, 1.0, 1.0), (0.5, 0.55, 0.95), (0.0, 0.1, 0.2)]
-)
-def test_steps_shorten_as_episodes_are_solved(half_solved, unsolved, high, low):
-    """The chance that all four copies win is 1 / 16 where half of the episodes are solved."""
+@pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
+def test_steps_of_the_coordinator_shorten_as_episodes_are_solved(half_solved, unsolved, factor):
     parts, _ = half_solved
-    config = replace(parts.config, solved_step_factor=0.1, solved_low_step_factor=0.2)
-    parts = replace(parts, config=config)
-    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), high, rtol=1e-6)
-    assert_allclose(low_step_factor(parts, jnp.float32(unsolved)), low, rtol=1e-6)
+    parts = replace(parts, config=replace(parts.config, solved_step_factor=0.1))
+    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
 
 
 @pytest.mark.parametrize(

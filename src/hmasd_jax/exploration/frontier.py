@@ -28,6 +28,7 @@ The entropy of actions, which also explores, can be weighted by the share of epi
 ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -67,6 +68,24 @@ class FrontierConfig:
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
         check_range(self, "forgetting", low=0, high=1)
+
+
+def check_counted(config: FrontierConfig, settings: Mapping[str, tuple[float, float]]) -> None:
+    """Check that solved episodes are counted if a setting depends on them.
+
+    Args:
+        config: settings of the bonus, which counts them if it pays.
+        settings: value of each setting by name, and the value that needs no count.
+
+    Raises:
+        ValueError: a setting has another value and the bonus pays nothing.
+    """
+    for name, (value, without) in settings.items():
+        if value != without and config.coef == 0:
+            raise ValueError(
+                f"{name} {value} needs frontier.coef above 0: the frontier knows when the task is "
+                "solved"
+            )
 
 
 class Frontier(NamedTuple):

@@ -9,12 +9,12 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
+from hmasd_jax.exploration.bonus import solved_step_factor
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     high_step_factor,
     low_entropy_coef,
-    low_step_factor,
     skill_weight,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
@@ -230,7 +230,11 @@ def train_discoverer(
 
 def discoverer_optimizer(parts: Parts, state: HMASDState) -> optax.GradientTransformation:
     """Return the optimizer of Eq. 7 and of imitation, with the step sizes of one update."""
-    return scale_steps(parts.discoverer_optimizer, low_step_factor(parts, state.bonus))
+    config = parts.config
+    factor = solved_step_factor(
+        parts.bonus, state.bonus, config.ppo.num_envs, config.solved_low_step_factor
+    )
+    return scale_steps(parts.discoverer_optimizer, factor)
 
 
 def train_discriminators(

@@ -1,4 +1,4 @@
-"""Coefficients of Eqs. 4, 6 and 7, and of their steps, that change in training.
+"""Coefficients of Eqs. 4, 6 and 7, and of the coordinator's steps, that change in training.
 
 The paper keeps them constant. Each function returns a constant of Python where its settings leave
 the coefficient constant. A traced number would round the whole update differently.
@@ -9,6 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from hmasd_jax.exploration.bonus import all_solved
 from hmasd_jax.hmasd.components import Parts
 
 
@@ -36,12 +37,8 @@ def skill_weight(
         return 1.0
     earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
     unknown = unknown_share(log_q_individual, config.num_skills)
-    return 1.0 + config.solved_gain * all_solved(parts, bonus_state) * earned * unknown
-
-
-def all_solved(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the chance that a reward ends the episodes of all copies of the environment."""
-    return (1.0 - parts.bonus.unsolved(bonus_state)) ** parts.config.ppo.num_envs
+    solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+    return 1.0 + config.solved_gain * solved * earned * unknown
 
 
 def unknown_share(log_q: Float[Array, "*batch"], num_skills: int) -> Float[Array, ""]:
@@ -58,7 +55,7 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     config = parts.config
     if config.solved_entropy_coef == 0:
         return config.high_entropy_coef
-    solved = all_solved(parts, bonus_state)
+    solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
     return config.high_entropy_coef + config.solved_entropy_coef * solved
 
 
@@ -72,18 +69,6 @@ def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]
     if factor == 1:
         return 1.0
     return factor + (1.0 - factor) * parts.bonus.unsolved(bonus_state)
-
-
-def low_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the factor of the discoverer's steps, which may fall once all copies succeed.
-
-    The discoverer of a solved task drifts, too. Where some episodes fail it still learns, and steps
-    in proportion to these would leave the last ones unsolved.
-    """
-    factor = parts.config.solved_low_step_factor
-    if factor == 1:
-        return 1.0
-    return 1.0 - (1.0 - factor) * all_solved(parts, bonus_state)
 
 
 def low_entropy_coef(

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier import FrontierConfig, check_counted
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
@@ -116,16 +116,12 @@ class HMASDConfig:
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
-        constant = {
-            "solved_gain": 0, "solved_entropy_coef": 0,
-            "solved_step_factor": 1, "solved_low_step_factor": 1,
-        }  # fmt: skip
-        for name, value in constant.items():
-            if getattr(self, name) != value and self.frontier.coef == 0:
-                raise ValueError(
-                    f"{name} {getattr(self, name)} needs frontier.coef above 0: the frontier knows "
-                    "when the task is solved"
-                )
+        check_counted(self.frontier, {
+            "solved_gain": (self.solved_gain, 0),
+            "solved_entropy_coef": (self.solved_entropy_coef, 0),
+            "solved_step_factor": (self.solved_step_factor, 1),
+            "solved_low_step_factor": (self.solved_low_step_factor, 1),
+        })  # fmt: skip
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
             raise ValueError(
                 f"solved_gain {self.solved_gain} needs extrinsic_coef above 0: the gain is in "

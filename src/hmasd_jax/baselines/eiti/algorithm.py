@@ -119,7 +119,7 @@ def make_learners(
     networks = ActorCritic(
         actor=net(env.num_actions, size, gain=SMALL_GAIN), critic=net(1, size, gain=1.0)
     )
-    optimizer = optax.GradientTransformation(
+    optimizer = optax.GradientTransformationExtraArgs(
         jax.vmap(one.optimizer.init), jax.vmap(one.optimizer.update)
     )
     return one, replace(one, networks=networks, optimizer=optimizer)

@@ -21,6 +21,7 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
+from hmasd_jax.exploration.bonus import solved_step_factor
 from hmasd_jax.exploration.greedy_copies import mark_greedy, normalize_and_blame, per_agent
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
@@ -33,7 +34,7 @@ from hmasd_jax.rl.averaging import averaged_params
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.gae import normalize_advantage, rollout_advantage
 from hmasd_jax.rl.keys import key_beside
-from hmasd_jax.rl.sgd import ppo_epochs
+from hmasd_jax.rl.sgd import ppo_epochs, scale_steps
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, StepFn, Transition
 
@@ -223,12 +224,16 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     reward = (transitions.outcome.reward + bonus)[..., None]
     batch = make_batch(parts, state, transitions, env, memory.critic, reward)
     entropy_coef = parts.config.entropy_coef * parts.bonus.entropy_weight(state.bonus)
+    factor = solved_step_factor(
+        parts.bonus, state.bonus, ppo.num_envs, parts.config.solved_step_factor
+    )
+    optimizer = scale_steps(parts.optimizer, factor)
     learner, norm, metrics = ppo_epochs(
-        parts.optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
+        optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
         state.norm, batch, key_epochs, ppo,
     )  # fmt: skip
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)
-    learner, imitation_metrics = parts.imitation.train(successes, learner, parts.optimizer)
+    learner, imitation_metrics = parts.imitation.train(successes, learner, optimizer)
     explore_metrics = bonus_metrics | store_metrics | imitation_metrics
     metrics |= {f"exploration/{k}": v for k, v in explore_metrics.items()}
     next_state = MAPPOState(

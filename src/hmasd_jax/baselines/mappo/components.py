@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
+from hmasd_jax.exploration.frontier import FrontierConfig, check_counted, make_frontier
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMemory
@@ -41,11 +41,16 @@ class MAPPOConfig:
     paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
+    solved_step_factor: float = 1.0
+    """Factor of the steps once a reward ends every episode. They shorten with the chance that a
+    reward ends the episodes of all copies. Needs the `frontier`. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
+        check_range(self, "solved_step_factor", low=0, high=1)
+        check_counted(self.frontier, {"solved_step_factor": (self.solved_step_factor, 1)})
         self.imitation.check_copies(self.ppo.num_envs)
 
 
@@ -66,7 +71,7 @@ class Parts:
     env: Environment
     config: MAPPOConfig
     networks: ActorCritic
-    optimizer: optax.GradientTransformation
+    optimizer: optax.GradientTransformationExtraArgs
     bonus: Bonus
     imitation: Imitation
 
