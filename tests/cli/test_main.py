@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 
+import jax
 import pytest
 
 from hmasd_jax.cli.main import COMMANDS, main
@@ -241,6 +242,31 @@ def test_help_and_mistakes_do_not_wait_for_slow_imports(words, code, slow):
     result, *imported = done.stderr.splitlines()[-1].split()
     assert int(result) == code
     assert not slow & set(imported)
+
+
+@pytest.mark.parametrize(
+    "reason",
+    ["RESOURCE_EXHAUSTED: Out of memory\nmore", "INTERNAL: Failed to initialize BLASLT support"],
+)
+def test_too_little_memory_of_the_device_is_one_line(reason, monkeypatch, capsys):
+    def fail(*_):
+        raise jax.errors.JaxRuntimeError(reason)
+
+    monkeypatch.setitem(COMMANDS, "plot", COMMANDS["plot"]._replace(load=lambda: fail))
+    assert main(["plot", "run"]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: the device has too little memory: {reason.splitlines()[0]}; ")
+    assert "--algorithm.ppo.num-envs" in error
+    assert error.count("\n") == 1
+
+
+def test_other_errors_of_the_device_are_shown_in_full(monkeypatch):
+    def fail(*_):
+        raise jax.errors.JaxRuntimeError("INTERNAL: something else")
+
+    monkeypatch.setitem(COMMANDS, "plot", COMMANDS["plot"]._replace(load=lambda: fail))
+    with pytest.raises(jax.errors.JaxRuntimeError, match="something else"):
+        main(["plot", "run"])
 
 
 def test_exit_code_of_the_process():

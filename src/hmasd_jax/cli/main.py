@@ -134,6 +134,11 @@ COMMANDS = {
 }
 
 
+MEMORY_ADVICE = """the device has too little memory: {}; take fewer copies \
+(--algorithm.ppo.num-envs) or seeds (--num-seeds), and where programs share a GPU, give each a \
+part (XLA_PYTHON_CLIENT_MEM_FRACTION); what was saved before stays usable"""
+
+
 def main(words: list[str] | None = None) -> int:
     """Run a command line and return the exit code.
 
@@ -166,6 +171,22 @@ def main(words: list[str] | None = None) -> int:
     except OSError as error:  # Most often a full disk.
         print(f"error: {error}; what was saved before stays usable", file=sys.stderr)
         return 1
+    except Exception as error:
+        if not _is_out_of_memory(error):
+            raise
+        print(f"error: {MEMORY_ADVICE.format(str(error).splitlines()[0])}", file=sys.stderr)
+        return 1
+
+
+def _is_out_of_memory(error: Exception) -> bool:
+    """Return True if JAX says that a device has too little memory, for arrays or for a library."""
+    jax = sys.modules.get("jax")  # `--help` does without it.
+    signs = ("RESOURCE_EXHAUSTED", "Failed to initialize BLAS")
+    return (
+        jax is not None
+        and isinstance(error, jax.errors.JaxRuntimeError)
+        and any(sign in str(error) for sign in signs)
+    )
 
 
 def _prepare_streams() -> None:
