@@ -20,13 +20,15 @@ from scripts.records import RESULTS
 
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
-TOGETHER = ("compared", "general", "retired", "ablations", *SKILLS)
+TOGETHER = ("compared", "general", "earlier", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
-RETIRED = (
-    "hmasd_robust", "hmasd_lambda", "hmasd_terminal", "hmasd_general_before",
-    "hmasd_general_clipped", "hmasd_general_coordinator", "hmasd_general_both_levels",
+RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
+"""Beginnings of the names of runs with retired presets."""
+EARLIER = (
+    "hmasd_general_before", "hmasd_general_clipped", "hmasd_general_coordinator",
+    "hmasd_general_both_levels",
 )  # fmt: skip
-"""Beginnings of the names of runs with retired presets, and of steps towards them."""
+"""Beginnings of the names of runs with earlier forms of the general preset."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
 """Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
 STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
@@ -42,13 +44,14 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
         rest[:] = [path for path in rest if path not in found]
         return found
 
-    retired, general, ablations = take(*RETIRED), take(*GENERAL), take("no")
+    retired, earlier = take(*RETIRED), take(*EARLIER)
+    general, ablations = take(*GENERAL), take("no")
     skills = [take(f"hmasd_{setting}") for setting in SKILLS]
     full = [path for path in rest if path.stem == "hmasd"]
     presets = [path for path in rest if path.stem in ("hmasd", "hmasd_general")]
     systems = [path for path in rest if path not in full]
-    beside = (full, presets, *[full] * len(TOGETHER[2:]))
-    groups = (systems, general, retired, ablations, *skills)
+    beside = (full, presets, presets, *[full] * len(TOGETHER[3:]))
+    groups = (systems, general, earlier, retired, ablations, *skills)
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
 
