@@ -127,9 +127,8 @@ def shown(task: str, system: str) -> str:
     mark = " *" if changed_settings(record) else ""
     seeds = f"{final['seeds']} seed{'s' * (final['seeds'] > 1)}{stopped(record)}"
     if cut_seeds(record):
-        seeds += (
-            f", {record['env_steps'][-1] / record['config']['total_env_steps']:.0%} of the steps"
-        )
+        share = record["env_steps"][-1] / record["config"]["total_env_steps"]
+        seeds += f", {share:.0%} of the steps"
     return f"{final['mean']:.1f} ± {final['std']:.1f} ({seeds}){mark}<br>{paper}"
 
 

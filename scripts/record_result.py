@@ -90,11 +90,13 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     final = summarize_record(kept, task)
     low, high = final["interval"]
     mark = " *" if changed_settings(kept) else ""
-    cut = bool(cut_seeds(kept))
+    steps = f"{kept['env_steps'][-1]:,}"
+    if cut_seeds(kept):
+        steps += f" of {kept['config']['total_env_steps']:,}"
     cells = [
         f"[{path.stem}](../{path.relative_to(ROOT)}){mark}",
         f"{final['seeds']}{stopped(kept)}",
-        f"{kept['env_steps'][-1]:,}" + f" of {kept['config']['total_env_steps']:,}" * cut,
+        steps,
         task.paper.get(path.stem) or task.paper.get(algorithm_of(path), ""),
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
