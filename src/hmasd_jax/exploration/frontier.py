@@ -28,9 +28,8 @@ The entropy of actions, which also explores, can be weighted by the share of epi
 ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -70,21 +69,21 @@ class FrontierConfig:
         check_range(self, "forgetting", low=0, high=1)
 
 
-def check_counted(config: FrontierConfig, settings: Mapping[str, tuple[float, float]]) -> None:
+def check_frontier_counts(config: Any, **constant: float) -> None:
     """Check that solved episodes are counted if a setting depends on them.
 
     Args:
-        config: settings of the bonus, which counts them if it pays.
-        settings: value of each setting by name, and the value that needs no count.
+        config: settings of an algorithm, which include `frontier`.
+        **constant: the value of each such setting that needs no count.
 
     Raises:
-        ValueError: a setting has another value and the bonus pays nothing.
+        ValueError: a setting has another value and the frontier pays nothing.
     """
-    for name, (value, without) in settings.items():
-        if value != without and config.coef == 0:
+    for name, value in constant.items():
+        if getattr(config, name) != value and config.frontier.coef == 0:
             raise ValueError(
-                f"{name} {value} needs frontier.coef above 0: the frontier knows when the task is "
-                "solved"
+                f"{name} {getattr(config, name)} needs frontier.coef above 0: the frontier knows "
+                "when the task is solved"
             )
 
 

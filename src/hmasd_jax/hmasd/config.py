@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.exploration.frontier import FrontierConfig, check_counted
+from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
@@ -116,12 +116,10 @@ class HMASDConfig:
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
-        check_counted(self.frontier, {
-            "solved_gain": (self.solved_gain, 0),
-            "solved_entropy_coef": (self.solved_entropy_coef, 0),
-            "solved_step_factor": (self.solved_step_factor, 1),
-            "solved_low_step_factor": (self.solved_low_step_factor, 1),
-        })  # fmt: skip
+        check_frontier_counts(
+            self, solved_gain=0, solved_entropy_coef=0, solved_step_factor=1,
+            solved_low_step_factor=1,
+        )  # fmt: skip
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
             raise ValueError(
                 f"solved_gain {self.solved_gain} needs extrinsic_coef above 0: the gain is in "

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.frontier import FrontierConfig, check_counted, make_frontier
+from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts, make_frontier
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMemory
@@ -50,7 +50,7 @@ class MAPPOConfig:
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
         check_range(self, "solved_step_factor", low=0, high=1)
-        check_counted(self.frontier, {"solved_step_factor": (self.solved_step_factor, 1)})
+        check_frontier_counts(self, solved_step_factor=1)
         self.imitation.check_copies(self.ppo.num_envs)
 
 
