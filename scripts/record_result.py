@@ -38,9 +38,10 @@ mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of traini
 without compilation, summed over the seeds, or of all seeds at once on a GPU.
 
 A seed that has no reward in the first half of its steps, in training or evaluation, may be stopped
-there. It scores 0. Of the seeds that were trained to the end, 41 had no reward in that half, and
-none of them learned anything later. Where other seeds ended early, the table gives their steps
-beside the steps of the preset.
+there. It scores 0. This is done with the paper's presets only: 41 of their seeds were trained to
+the end without reward in that half, and none of them learned anything later. Two seeds of our
+general presets did. Where other seeds ended early, the table gives their steps beside those of the
+preset.
 
 A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
 
