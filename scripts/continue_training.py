@@ -3,8 +3,9 @@
 python scripts/continue_training.py RUN OUT --seed 1 --step 400000 --set algorithm.solved_gain=0
 
 OUT (JSON) gets one row per repetition: the success of the episodes that sample, in percent, over
-every five updates. Repetitions differ in their random numbers alone. The settings must leave the
-shapes of the train state as they are.
+every five updates, or the mean team reward of a step where the environment counts no success.
+Repetitions differ in their random numbers alone. The settings must leave the shapes of the train
+state as they are.
 """
 
 import json
@@ -16,10 +17,12 @@ import jax
 from hmasd_jax import config as configs
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.training.compiled import build_executable
+from hmasd_jax.types import Metrics
 from scripts.records import checkpoint_parser, describe_script, write_rows
 
 POOLED = 5
 """Updates per number."""
+SUCCESS = "episode_sum/success"
 
 
 def continue_training(
@@ -32,17 +35,25 @@ def continue_training(
     @jax.jit
     def updates(state):
         state, metrics = jax.lax.scan(lambda s, _: algorithm.update(s), state, length=POOLED)
-        return state, metrics["episode_sum/success"].sum() / metrics["episodes"].sum()
+        return state, score(metrics)
 
     run_updates = build_executable(updates, state)
     rows = []
     for repetition in range(repetitions):
-        now, success = state._replace(key=jax.random.fold_in(state.key, repetition)), []
+        now, scores = state._replace(key=jax.random.fold_in(state.key, repetition)), []
         for _ in range(num_updates // POOLED):
-            now, share = run_updates(now)
-            success.append(round(100 * float(share), 1))
-        rows.append({"repetition": repetition, "success": success})
+            now, pooled = run_updates(now)
+            scores.append({name: round(float(value), 4) for name, value in pooled.items()})
+        names = scores[0] if scores else ()
+        rows.append({"repetition": repetition, **{n: [x[n] for x in scores] for n in names}})
     return rows
+
+
+def score(metrics: Metrics) -> Metrics:
+    """Return the success of the pooled updates in percent, or their team reward without one."""
+    if SUCCESS not in metrics:
+        return {"team_reward": metrics["team_reward"].mean()}
+    return {"success": 100 * metrics[SUCCESS].sum() / metrics["episodes"].sum()}
 
 
 def main() -> None:

@@ -43,3 +43,8 @@ def test_success_is_pooled_and_repetitions_draw_other_numbers(monkeypatch, tmp_p
         assert 5 < row["success"][0] < 7.5
         assert 17.5 < row["success"][1] < 20
     assert rows[0]["success"] != rows[1]["success"]
+
+
+def test_a_task_without_success_has_the_team_reward():
+    pooled = script.score({"team_reward": jnp.array([0.25, 0.75]), "episodes": jnp.zeros(2)})
+    assert pooled == {"team_reward": 0.5}
