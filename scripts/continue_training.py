@@ -9,6 +9,7 @@ state as they are.
 """
 
 import json
+from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -40,12 +41,13 @@ def continue_training(
     run_updates = build_executable(updates, state)
     rows = []
     for repetition in range(repetitions):
-        now, scores = state._replace(key=jax.random.fold_in(state.key, repetition)), []
+        now = state._replace(key=jax.random.fold_in(state.key, repetition))
+        scores = defaultdict(list)
         for _ in range(num_updates // POOLED):
             now, pooled = run_updates(now)
-            scores.append({name: round(float(value), 4) for name, value in pooled.items()})
-        names = scores[0] if scores else ()
-        rows.append({"repetition": repetition, **{n: [x[n] for x in scores] for n in names}})
+            for name, value in pooled.items():
+                scores[name].append(round(float(value), 4))
+        rows.append({"repetition": repetition, **scores})
     return rows
 
 
