@@ -241,8 +241,9 @@ def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "
 def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " state"]):
     """Widen the range of each feature to include `low` and `high`.
 
-    What is known of an old bin moves to the new bin that holds its middle. `visited` keeps the old
-    bins until its episodes end.
+    What is known of an old bin moves to the new bin that holds its middle. Where several move to one,
+    the largest holds: an episode that reached two of them reached the new bin once. `visited` keeps
+    the old bins until its episodes end.
     """
     wider = frontier._replace(
         low=jnp.minimum(frontier.low, low), high=jnp.maximum(frontier.high, high)
@@ -255,7 +256,7 @@ def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " 
     moved = (slice(None), jnp.arange(low.size)[:, None], find_bins(wider, middles).T)
     empty = jnp.zeros_like(frontier.reached)
     return wider._replace(
-        reached=empty.at[moved].add(frontier.reached),
+        reached=empty.at[moved].max(frontier.reached),
         mastered=empty.at[moved].max(frontier.mastered),
     )
 
