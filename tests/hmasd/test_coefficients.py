@@ -155,11 +155,22 @@ def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
     assert_allclose(half, 0.05)
 
 
+def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_solved):
+    """A chance of 1 / 16 that all copies win, and a constant weight before."""
+    parts, state = half_solved
+    changes = {"solved_low_entropy_coef": -8.0}
+    assert_allclose(entropy_weight(parts, 9, state, **changes), 0.4 - 0.5, rtol=1e-6)
+    half = entropy_weight(parts, 2, state, low_entropy_decay_updates=4, **changes)
+    assert_allclose(half, -0.05, rtol=1e-6)
+    assert type(entropy_weight(parts, 9, state)) is float
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("solved_gain", 2.0),
         ("solved_entropy_coef", 2.0),
+        ("solved_low_entropy_coef", -2.0),
         ("solved_step_factor", 0.5),
         ("solved_low_step_factor", 0.5),
     ],

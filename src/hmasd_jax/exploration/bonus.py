@@ -37,6 +37,28 @@ def all_solved(bonus: Bonus, bonus_state: Any, num_envs: int) -> float | Float[A
     return (1.0 - bonus.unsolved(bonus_state)) ** num_envs
 
 
+def actions_entropy_coef(
+    bonus: Bonus, bonus_state: Any, num_envs: int, unsolved: float, solved: float
+) -> float | Float[Array, ""]:
+    """Return the coefficient of the actions' entropy, which may change once all copies succeed.
+
+    Actions drawn at random lose some episodes that the most likely ones win. Where every episode
+    succeeds there is nothing left to explore, and few gradients tell the policy so. A negative
+    coefficient makes its actions sure.
+
+    Args:
+        bonus: bonus that weighs the entropy and counts the solved episodes.
+        bonus_state: state of the bonus.
+        num_envs: copies of the environment.
+        unsolved: coefficient before the weight of the bonus.
+        solved: summand once every episode is solved. With 0 there is none.
+    """
+    coef = unsolved * bonus.entropy_weight(bonus_state)
+    if solved == 0:
+        return coef
+    return coef + solved * all_solved(bonus, bonus_state, num_envs)
+
+
 def solved_step_factor(
     bonus: Bonus, bonus_state: Any, num_envs: int, solved: float
 ) -> float | Float[Array, ""]:

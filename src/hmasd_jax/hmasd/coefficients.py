@@ -9,7 +9,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hmasd_jax.exploration.bonus import all_solved
+from hmasd_jax.exploration.bonus import actions_entropy_coef, all_solved
 from hmasd_jax.hmasd.components import Parts
 
 
@@ -74,9 +74,12 @@ def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]
 def low_entropy_coef(
     parts: Parts, bonus_state: Any, num_updates: Int[Array, ""]
 ) -> float | Float[Array, ""]:
-    """Return lambda_l, which may fall with the updates and with the weight of the bonus."""
+    """Return lambda_l, which may fall with the updates and as episodes are solved."""
     config = parts.config
-    coef = config.low_entropy_coef * parts.bonus.entropy_weight(bonus_state)
+    coef = actions_entropy_coef(
+        parts.bonus, bonus_state, config.ppo.num_envs,
+        config.low_entropy_coef, config.solved_low_entropy_coef,
+    )  # fmt: skip
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

@@ -10,7 +10,13 @@ from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.networks.recurrent import SkillAt
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.validation import check_divides, check_indices, check_multiple, check_range
+from hmasd_jax.validation import (
+    LARGEST_FLOAT,
+    check_divides,
+    check_indices,
+    check_multiple,
+    check_range,
+)
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
 
@@ -87,6 +93,10 @@ class HMASDConfig:
     ends. The paper has none."""
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
+    solved_low_entropy_coef: float = 0.0
+    """Weight that the entropy of actions gains with the chance that a reward ends the episodes of
+    all copies. Below 0, actions become sure once nothing is left to explore. Needs the `frontier`,
+    too."""
     solved_step_factor: float = 1.0
     """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
     and linear between. Needs the `frontier`, which counts these episodes."""
@@ -115,10 +125,11 @@ class HMASDConfig:
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", low=0)
+        check_range(self, "solved_low_entropy_coef", low=-LARGEST_FLOAT)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
         check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, solved_step_factor=1,
-            solved_low_step_factor=1,
+            self, solved_gain=0, solved_entropy_coef=0, solved_low_entropy_coef=0,
+            solved_step_factor=1, solved_low_step_factor=1,
         )  # fmt: skip
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
             raise ValueError(

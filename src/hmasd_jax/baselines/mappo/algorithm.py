@@ -21,7 +21,7 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
-from hmasd_jax.exploration.bonus import solved_step_factor
+from hmasd_jax.exploration.bonus import actions_entropy_coef, solved_step_factor
 from hmasd_jax.exploration.greedy_copies import mark_greedy, normalize_and_blame, per_agent
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
@@ -223,13 +223,16 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     )
     reward = (transitions.outcome.reward + bonus)[..., None]
     batch = make_batch(parts, state, transitions, env, memory.critic, reward)
-    entropy_coef = parts.config.entropy_coef * parts.bonus.entropy_weight(state.bonus)
+    coef = actions_entropy_coef(
+        parts.bonus, state.bonus, ppo.num_envs,
+        parts.config.entropy_coef, parts.config.solved_entropy_coef,
+    )  # fmt: skip
     factor = solved_step_factor(
         parts.bonus, state.bonus, ppo.num_envs, parts.config.solved_step_factor
     )
     optimizer = scale_steps(parts.optimizer, factor)
     learner, norm, metrics = ppo_epochs(
-        optimizer, partial(mappo_loss, parts, entropy_coef=entropy_coef), state.learner,
+        optimizer, partial(mappo_loss, parts, entropy_coef=coef), state.learner,
         state.norm, batch, key_epochs, ppo,
     )  # fmt: skip
     successes, store_metrics = parts.imitation.store(state.successes, batch, transitions, key_store)

@@ -16,7 +16,7 @@ from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMe
 from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.sgd import make_optimizer
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import LARGEST_FLOAT, check_range
 
 
 @dataclass(frozen=True)
@@ -41,16 +41,20 @@ class MAPPOConfig:
     paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
+    solved_entropy_coef: float = 0.0
+    """Weight that the policy's entropy gains with the chance that a reward ends the episodes of all
+    copies. Below 0, actions become sure. Needs the `frontier`. The paper has none."""
     solved_step_factor: float = 1.0
-    """Factor of the steps once a reward ends every episode. They shorten with the chance that a
-    reward ends the episodes of all copies. Needs the `frontier`. The paper has none."""
+    """Factor of the steps once a reward ends every episode. They shorten with the same chance.
+    Needs the `frontier`. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
+        check_range(self, "solved_entropy_coef", low=-LARGEST_FLOAT)
         check_range(self, "solved_step_factor", low=0, high=1)
-        check_frontier_counts(self, solved_step_factor=1)
+        check_frontier_counts(self, solved_entropy_coef=0, solved_step_factor=1)
         self.imitation.check_copies(self.ppo.num_envs)
 
 
