@@ -35,7 +35,7 @@ def test_mappo_has_the_exploration_parts_of_the_general_preset():
     assert (mappo.ppo, mappo.imitation) == (general.ppo, general.imitation)
     assert mappo.entropy_coef == general.low_entropy_coef
     assert mappo.solved_step_factor == general.solved_low_step_factor
-    assert mappo.solved_entropy_coef == general.solved_low_entropy_coef
+    assert mappo.sharpening == general.sharpening
     coef = general.frontier.coef / general.extrinsic_coef
     assert mappo.frontier == dataclasses.replace(general.frontier, coef=coef)
 

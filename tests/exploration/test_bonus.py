@@ -11,13 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import envs_jax
 from hmasd_jax.baselines.mappo import MAPPOConfig
 from hmasd_jax.baselines.mappo import algorithm as mappo
-from hmasd_jax.exploration.bonus import (
-    NO_BONUS,
-    Bonus,
-    actions_entropy_coef,
-    add,
-    solved_step_factor,
-)
+from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, add, solved_step_factor
 from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.successes import NO_IMITATION
 from hmasd_jax.rl.ppo import PPOConfig
@@ -56,7 +50,7 @@ def test_the_weight_of_the_entropy_is_that_of_the_bonus_that_has_one():
 
 
 def test_the_sum_counts_unsolved_episodes_like_the_bonus_that_does():
-    counting = constant(3.0, "b")._replace(unsolved=lambda count: count / 4)
+    counting = constant(3.0, "b")._replace(unsolved=lambda count, copies: count / 4)
     pairs = [(constant(2.0, "a"), counting), (counting, constant(2.0, "a"))]
     for both, expected in [*((add(*pair), 0.25) for pair in pairs), (NO_BONUS, 1.0)]:
         assert both.unsolved(both.init(jax.random.key(0))) == expected
@@ -69,19 +63,10 @@ def test_steps_shorten_once_all_copies_succeed(unsolved, factor):
     assert_allclose(solved_step_factor(counting, jnp.float32(unsolved), 4, 0.2), factor, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("unsolved", "coef"), [(1.0, 0.3), (0.5, 0.05), (0.0, -1.6)])
-def test_actions_become_sure_once_all_copies_succeed(unsolved, coef):
-    """0.3 times the weight of the bonus, and -1.6 times the chance that all four copies win."""
-    counting = NO_BONUS._replace(entropy_weight=lambda share: share, unsolved=lambda share: share)
-    actual = actions_entropy_coef(counting, jnp.float32(unsolved), 4, 0.3, -1.6)
-    assert_allclose(actual, coef, rtol=1e-5)
-
-
-def test_what_stays_as_it_is_on_solved_tasks_is_not_traced():
+def test_without_shorter_steps_nothing_is_traced():
     """A constant that becomes traced rounds the whole update differently."""
     counting = NO_BONUS._replace(unsolved=lambda share: share)
     assert type(solved_step_factor(counting, jnp.float32(0.5), 4, 1.0)) is float
-    assert type(actions_entropy_coef(counting, jnp.float32(0.5), 4, 0.3, 0.0)) is float
 
 
 @pytest.fixture(scope="module")
@@ -101,14 +86,9 @@ def update_of(parts):
     return jax.jit(lambda state: mappo.train_iteration(parts, state)[0])
 
 
-@pytest.mark.parametrize(
-    ("weight", "solved", "entropy_coef"),
-    [(0.0, 0.0, 0.0), (1.0, 0.0, 0.5), (0.5, 0.0, 0.25), (0.5, -0.125, 0.125)],
-)
-def test_the_entropy_of_mappo_is_weighted_by_the_bonus(parts, fresh, weight, solved, entropy_coef):
-    bonus = parts.bonus._replace(entropy_weight=lambda _: weight, unsolved=lambda _: 0.0)
-    config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved_entropy_coef=solved)
-    fading = replace(parts, config=config, bonus=bonus)
+@pytest.mark.parametrize(("weight", "entropy_coef"), [(0.0, 0.0), (1.0, 0.5), (0.5, 0.25)])
+def test_the_entropy_of_mappo_is_weighted_by_the_bonus(parts, fresh, weight, entropy_coef):
+    fading = replace(parts, bonus=parts.bonus._replace(entropy_weight=lambda _: weight))
     fixed = replace(parts, config=replace(parts.config, entropy_coef=entropy_coef))
     faded, constant = (update_of(one)(fresh).learner.params for one in (fading, fixed))
     jax.tree.map(assert_array_equal, faded, constant)
@@ -132,9 +112,7 @@ def test_a_factor_of_zero_stops_mappo_on_a_solved_task(parts, fresh):
         chex.assert_trees_all_close(stopped.learner.opt_state, fresh.learner.opt_state, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("solved_step_factor", 0.5), ("solved_entropy_coef", -0.1)]
-)
+@pytest.mark.parametrize(("name", "value"), [("solved_step_factor", 0.5), ("sharpening", 2.0)])
 def test_what_changes_on_solved_tasks_needs_a_count_of_them(name, value):
     with pytest.raises(ValueError, match=rf"{name} {value} needs frontier.coef above 0"):
         MAPPOConfig(**{name: value})

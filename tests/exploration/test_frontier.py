@@ -115,7 +115,7 @@ def test_the_share_counts_episodes_and_not_steps(empty):
 def test_the_share_is_an_average_over_the_window(empty):
     outcome = rollout_of(*[[0.0, 4.0]] * 4)
     frontier, _ = reach(empty, outcome)
-    assert_allclose(frontier.episodes, NUM_ENVS * 0.9 + 4)
+    assert_allclose(frontier.episodes.sum(), NUM_ENVS * 0.9 + 4)
     assert_allclose(frontier.reached[RISES, 0], [0, 4, 4, 4])
     assert_allclose(frontier.mastered[RISES, 0, 1], 4 / 7.6, rtol=1e-6)
 
@@ -146,9 +146,18 @@ def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
 @pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])
 def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy, weight, empty):
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)
-    won = empty._replace(successes=jnp.float32(6), episodes=jnp.float32(8))
+    won = empty._replace(successes=jnp.array([2.0, 1, 2, 1]), episodes=jnp.array([2.0, 2, 2, 2]))
     assert bonus.entropy_weight(won) == weight
     assert bonus.unsolved(won) == 0.25
+
+
+def test_episodes_that_a_reward_ends_are_counted_for_each_copy(bonus, empty):
+    """One copy of two wins its first episode, beside 0.9 of an episode that counts at the start."""
+    outcome = rollout_of(*[[0.0, 4.0]] * NUM_ENVS)
+    frontier, _ = train(bonus, empty, outcome._replace(reward=outcome.reward.at[1, 1].set(1.0)))
+    for copies, won in [([0, 2, 3], 0), ([1], 1 / 1.9), ([0, 1], 1 / 3.8)]:
+        marked = jnp.zeros(NUM_ENVS, bool).at[jnp.array(copies)].set(True)
+        assert_allclose(unsolved(frontier, marked), 1 - won, rtol=1e-6)
 
 
 def test_a_window_without_an_end_of_an_episode_is_unsolved():
@@ -167,7 +176,7 @@ def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_re
     )
     paid = in_time._replace(reward=jnp.full_like(outcome.reward, 20.0))
     frontier, reward = train(bonus, empty, paid)
-    assert frontier.successes == 0
+    assert (frontier.successes == 0).all()
     # Eight rewards in four episodes, beside 0.9 x 4 that count as recent and got nothing.
     assert_allclose(frontier.best_return, 8 * 20 / 7.6, rtol=1e-6)
     assert_allclose(reward, 8 * 20 / 7.6 * without, rtol=1e-5)

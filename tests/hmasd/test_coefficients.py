@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.exploration.frontier import FrontierConfig
-from hmasd_jax.exploration.successes import NO_IMITATION
+from hmasd_jax.exploration.successes import NO_IMITATION, ImitationConfig
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
@@ -59,7 +59,7 @@ def half_solved(parts):
         parts.config, extrinsic_coef=8.0, high_entropy_coef=0.1, frontier=FrontierConfig(coef=1.0),
         num_skills=4, solved_gain=24.0, solved_entropy_coef=3.2,
     )  # fmt: skip
-    bonus = parts.bonus._replace(unsolved=lambda share: share)
+    bonus = parts.bonus._replace(unsolved=lambda share, copies=True: share)
     return replace(parts, config=config, bonus=bonus), jnp.float32(0.5)
 
 
@@ -156,9 +156,12 @@ def test_the_low_entropy_weight_falls_with_that_of_the_bonus(parts):
 
 
 def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_solved):
-    """A chance of 1 / 16 that all copies win, and a constant weight before."""
+    """A chance of 1 / 16 that all copies win, of which sampling loses a half more."""
     parts, state = half_solved
-    changes = {"solved_low_entropy_coef": -8.0}
+    shares = jnp.array([0.125, 0.625, 0.625, 0.625])
+    bonus = parts.bonus._replace(unsolved=lambda _, copies=True: shares.mean(where=copies))
+    parts = replace(parts, bonus=bonus)
+    changes = {"sharpening": 16.0, "imitation": ImitationConfig(greedy_copies=1)}
     assert_allclose(entropy_weight(parts, 9, state, **changes), 0.4 - 0.5, rtol=1e-6)
     half = entropy_weight(parts, 2, state, low_entropy_decay_updates=4, **changes)
     assert_allclose(half, -0.05, rtol=1e-6)
@@ -170,7 +173,7 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
     [
         ("solved_gain", 2.0),
         ("solved_entropy_coef", 2.0),
-        ("solved_low_entropy_coef", -2.0),
+        ("sharpening", 2.0),
         ("solved_step_factor", 0.5),
         ("solved_low_step_factor", 0.5),
     ],

@@ -5,15 +5,15 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from envs_jax import TimeStep
 from hmasd_jax.types import Key, Metrics
 
 
-def always_one(bonus_state: Any) -> float:
+def always_one(bonus_state: Any, copies: bool | Bool[Array, " E"] = True) -> float:
     """Return 1, for a bonus that leaves entropy as it is, or counts no solved episodes."""
-    del bonus_state
+    del bonus_state, copies
     return 1.0
 
 
@@ -28,35 +28,14 @@ class Bonus(NamedTuple):
     entropy_weight: Callable[[Any], float | Float[Array, ""]] = always_one
     """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
     explores, too."""
-    unsolved: Callable[[Any], float | Float[Array, ""]] = always_one
-    """`unsolved(bonus_state)`: share of recent episodes that no reward ended."""
+    unsolved: Callable[..., float | Float[Array, ""]] = always_one
+    """`unsolved(bonus_state, copies=True)`: share of recent episodes that no reward ended, in the
+    copies of the environment that are marked."""
 
 
 def all_solved(bonus: Bonus, bonus_state: Any, num_envs: int) -> float | Float[Array, ""]:
     """Return the chance that a reward ends the episodes of all copies of the environment."""
     return (1.0 - bonus.unsolved(bonus_state)) ** num_envs
-
-
-def actions_entropy_coef(
-    bonus: Bonus, bonus_state: Any, num_envs: int, unsolved: float, solved: float
-) -> float | Float[Array, ""]:
-    """Return the coefficient of the actions' entropy, which may change once all copies succeed.
-
-    Actions drawn at random lose some episodes that the most likely ones win. Where every episode
-    succeeds there is nothing left to explore, and few gradients tell the policy so. A negative
-    coefficient makes its actions sure.
-
-    Args:
-        bonus: bonus that weighs the entropy and counts the solved episodes.
-        bonus_state: state of the bonus.
-        num_envs: copies of the environment.
-        unsolved: coefficient before the weight of the bonus.
-        solved: summand once every episode is solved. With 0 there is none.
-    """
-    coef = unsolved * bonus.entropy_weight(bonus_state)
-    if solved == 0:
-        return coef
-    return coef + solved * all_solved(bonus, bonus_state, num_envs)
 
 
 def solved_step_factor(
@@ -105,7 +84,7 @@ def add(first: Bonus, second: Bonus) -> Bonus:
     def entropy_weight(pair):
         return first.entropy_weight(pair[0]) * second.entropy_weight(pair[1])
 
-    def unsolved(pair):
-        return jnp.minimum(first.unsolved(pair[0]), second.unsolved(pair[1]))
+    def unsolved(pair, copies=True):
+        return jnp.minimum(first.unsolved(pair[0], copies), second.unsolved(pair[1], copies))
 
     return Bonus(init, update, entropy_weight, unsolved)

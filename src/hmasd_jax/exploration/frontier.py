@@ -96,8 +96,8 @@ class Frontier(NamedTuple):
     """Largest value of each feature so far."""
     reached: Float[Array, "2 state bins"]
     """Number of recent episodes that reached each bin, rising and falling."""
-    episodes: Float[Array, ""]
-    """Number of recent episodes."""
+    episodes: Float[Array, " E"]
+    """Number of recent episodes of each copy."""
     mastered: Float[Array, "2 state bins"]
     """Largest share of episodes so far that reached each bin, less what is forgotten."""
     visited: Bool[Array, "E 2 state bins"]
@@ -106,8 +106,8 @@ class Frontier(NamedTuple):
     """State before the next step."""
     begins: Bool[Array, " E"]
     """Whether the next step is the first of an episode, so that `before` is of another one."""
-    successes: Float[Array, ""]
-    """Number of recent episodes that ended with a reward before the time limit."""
+    successes: Float[Array, " E"]
+    """Number of recent episodes of each copy that ended with a reward before the time limit."""
     returns: Float[Array, ""]
     """Sum of the rewards of recent rollouts."""
     best_return: Float[Array, ""]
@@ -128,12 +128,12 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             low=jnp.full(env.state_dim, jnp.inf),
             high=jnp.full(env.state_dim, -jnp.inf),
             reached=jnp.zeros(bins),
-            episodes=jnp.float32(num_envs),
+            episodes=jnp.ones(num_envs),
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
             before=jnp.zeros((num_envs, env.state_dim)),
             begins=jnp.ones(num_envs, bool),
-            successes=jnp.float32(0),
+            successes=jnp.zeros(num_envs),
             returns=jnp.float32(0),
             best_return=jnp.float32(1),
             bonuses=Moments.create(),
@@ -155,9 +155,10 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
     return Bonus(init, update, entropy_weight, unsolved)
 
 
-def unsolved(frontier: Frontier) -> Float[Array, ""]:
-    """Return the share of recent episodes that no reward ended."""
-    return 1.0 - per_episode(frontier.successes, frontier.episodes)
+def unsolved(frontier: Frontier, copies: bool | Bool[Array, " E"] = True) -> Float[Array, ""]:
+    """Return the share of recent episodes that no reward ended, in the copies that are marked."""
+    successes, episodes = (x.sum(where=copies) for x in (frontier.successes, frontier.episodes))
+    return 1.0 - per_episode(successes, episodes)
 
 
 def per_episode(
@@ -190,13 +191,14 @@ def explore(
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
-    successes = (outcome.terminated & (outcome.reward > 0)).sum()
+    successes = (outcome.terminated & (outcome.reward > 0)).sum(0)
     keep = 1.0 - 1.0 / config.window
     reached = frontier.reached * keep + is_first.sum((0, 1))
-    episodes = frontier.episodes * keep + outcome.done.sum()
+    episodes = frontier.episodes * keep + outcome.done.sum(0)
+    total = episodes.sum()
     returns = frontier.returns * keep + outcome.reward.sum()
-    best_return = jnp.maximum(frontier.best_return, per_episode(returns, episodes))
-    share = jnp.minimum(per_episode(reached, episodes), 1.0)
+    best_return = jnp.maximum(frontier.best_return, per_episode(returns, total))
+    share = jnp.minimum(per_episode(reached, total), 1.0)
     frontier = frontier._replace(
         reached=reached,
         episodes=episodes,
@@ -241,9 +243,9 @@ def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "
 def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " state"]):
     """Widen the range of each feature to include `low` and `high`.
 
-    What is known of an old bin moves to the new bin that holds its middle. Where several move to one,
-    the largest holds: an episode that reached two of them reached the new bin once. `visited` keeps
-    the old bins until its episodes end.
+    What is known of an old bin moves to the new bin that holds its middle. Where several move to
+    one, the largest holds: an episode that reached two of them reached the new bin once. `visited`
+    keeps the old bins until its episodes end.
     """
     wider = frontier._replace(
         low=jnp.minimum(frontier.low, low), high=jnp.maximum(frontier.high, high)

@@ -9,7 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hmasd_jax.exploration.bonus import actions_entropy_coef, all_solved
+from hmasd_jax.exploration.bonus import all_solved
+from hmasd_jax.exploration.greedy_copies import actions_entropy_coef
 from hmasd_jax.hmasd.components import Parts
 
 
@@ -76,10 +77,7 @@ def low_entropy_coef(
 ) -> float | Float[Array, ""]:
     """Return lambda_l, which may fall with the updates and as episodes are solved."""
     config = parts.config
-    coef = actions_entropy_coef(
-        parts.bonus, bonus_state, config.ppo.num_envs,
-        config.low_entropy_coef, config.solved_low_entropy_coef,
-    )  # fmt: skip
+    coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

@@ -5,18 +5,13 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts
+from hmasd_jax.exploration.greedy_copies import check_sharpening
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.networks.recurrent import SkillAt
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.validation import (
-    LARGEST_FLOAT,
-    check_divides,
-    check_indices,
-    check_multiple,
-    check_range,
-)
+from hmasd_jax.validation import check_divides, check_indices, check_multiple, check_range
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
 
@@ -93,10 +88,10 @@ class HMASDConfig:
     ends. The paper has none."""
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
-    solved_low_entropy_coef: float = 0.0
-    """Weight that the entropy of actions gains with the chance that a reward ends the episodes of
-    all copies. Below 0, actions become sure once nothing is left to explore. Needs the `frontier`,
-    too."""
+    sharpening: float = 0.0
+    """Weight against the entropy of actions, per share of episodes that sampled play loses and
+    greedy play wins, once the team solves its task. Needs the `frontier` and
+    `imitation.greedy_copies`. The paper has none."""
     solved_step_factor: float = 1.0
     """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
     and linear between. Needs the `frontier`, which counts these episodes."""
@@ -124,13 +119,13 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
-        check_range(self, "solved_gain", "solved_entropy_coef", low=0)
-        check_range(self, "solved_low_entropy_coef", low=-LARGEST_FLOAT)
+        check_range(self, "solved_gain", "solved_entropy_coef", "sharpening", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
         check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, solved_low_entropy_coef=0,
-            solved_step_factor=1, solved_low_step_factor=1,
+            self, solved_gain=0, solved_entropy_coef=0, sharpening=0, solved_step_factor=1,
+            solved_low_step_factor=1,
         )  # fmt: skip
+        check_sharpening(self.sharpening, self.imitation)
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
             raise ValueError(
                 f"solved_gain {self.solved_gain} needs extrinsic_coef above 0: the gain is in "

@@ -10,13 +10,14 @@ from jaxtyping import Array, Float
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
 from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts, make_frontier
+from hmasd_jax.exploration.greedy_copies import check_sharpening
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMemory
 from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.sgd import make_optimizer
-from hmasd_jax.validation import LARGEST_FLOAT, check_range
+from hmasd_jax.validation import check_range
 
 
 @dataclass(frozen=True)
@@ -41,20 +42,22 @@ class MAPPOConfig:
     paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
-    solved_entropy_coef: float = 0.0
-    """Weight that the policy's entropy gains with the chance that a reward ends the episodes of all
-    copies. Below 0, actions become sure. Needs the `frontier`. The paper has none."""
+    sharpening: float = 0.0
+    """Weight against the policy's entropy, per share of episodes that sampled play loses and greedy
+    play wins, once the team solves its task. Needs the `frontier` and `imitation.greedy_copies`.
+    The paper has none."""
     solved_step_factor: float = 1.0
-    """Factor of the steps once a reward ends every episode. They shorten with the same chance.
-    Needs the `frontier`. The paper has none."""
+    """Factor of the steps once a reward ends every episode. They shorten with the chance that a
+    reward ends the episodes of all copies. Needs the `frontier`. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", low=0)
-        check_range(self, "solved_entropy_coef", low=-LARGEST_FLOAT)
+        check_range(self, "sharpening", low=0)
         check_range(self, "solved_step_factor", low=0, high=1)
-        check_frontier_counts(self, solved_entropy_coef=0, solved_step_factor=1)
+        check_frontier_counts(self, sharpening=0, solved_step_factor=1)
+        check_sharpening(self.sharpening, self.imitation)
         self.imitation.check_copies(self.ppo.num_envs)
 
 
