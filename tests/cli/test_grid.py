@@ -57,12 +57,32 @@ def test_several_settings_are_combined(sweeps, tmp_path):
 def test_resume_continues_started_sweeps_and_starts_the_others(sweeps, tmp_path, capsys):
     calls, _ = sweeps
     (tmp_path / "skill_interval_50").mkdir()
+    (tmp_path / "skill_interval_50/config.json").touch()
     words = [*WORDS, "--run-dir", str(tmp_path)]
     assert main(words) == 2
     assert "skill_interval_50 exists: continue with --resume" in capsys.readouterr().err
     assert not calls
     assert main([*words, "--resume"]) == 0
     assert [options.resume for _, options, _ in calls] == [False, True]
+
+
+def test_a_sweep_whose_creation_was_cut_short_begins_again(sweeps, tmp_path):
+    calls, _ = sweeps
+    for value, files in [(25, []), (50, ["run.json", ".config.json.7.tmp"])]:
+        (tmp_path / f"skill_interval_{value}").mkdir()
+        for name in files:
+            (tmp_path / f"skill_interval_{value}" / name).touch()
+    assert main([*WORDS, "--run-dir", str(tmp_path), "--resume"]) == 0
+    assert [options.resume for _, options, _ in calls] == [False, False]
+
+
+def test_no_sweep_begins_if_the_folder_of_another_is_in_use(sweeps, tmp_path, capsys):
+    calls, _ = sweeps
+    (tmp_path / "skill_interval_50").mkdir()
+    (tmp_path / "skill_interval_50/notes.txt").touch()
+    assert main([*WORDS, "--run-dir", str(tmp_path)]) == 2
+    assert "skill_interval_50 is not empty, and not a run folder" in capsys.readouterr().err
+    assert not calls
 
 
 def test_a_failed_sweep_does_not_keep_the_others_from_running(sweeps, tmp_path):

@@ -102,16 +102,23 @@ def test_checkpoints_are_ordered_by_their_steps(tmp_path):
 def test_files_that_cannot_be_read_for_a_while_are_read_later(error, tmp_path, monkeypatch):
     run = write_run(tmp_path / "run", [[0.0]])
     live = serve.LiveReport([run], lambda version: f"page {version}")
+
+    def fail(_):
+        raise error
+
     with monkeypatch.context() as patch:
-
-        def fail(_):
-            raise error
-
         patch.setattr(serve, "expand", fail)
         assert not live.look()
         assert "no trial yet" in live.page
     assert live.look()
     assert live.page.startswith("page 0.")
+    page = live.page
+    with monkeypatch.context() as patch:
+        patch.setattr(serve, "expand", fail)
+        assert not live.look()
+        assert "no trial yet" in live.page
+    assert live.look()
+    assert live.page == page
 
 
 def test_a_page_that_fails_is_told_and_made_again_when_files_change(tmp_path, caplog):

@@ -1,7 +1,9 @@
 """Order of the writes, which decides what a power cut leaves."""
 
 import errno
+import multiprocessing
 import os
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -51,7 +53,7 @@ def test_metrics_are_on_disk_before_the_checkpoint(seed, synced):
     synced.clear()
     seed.save(80, {"x": np.zeros(3)})
     names = [name for name, _ in synced]
-    assert names.index("metrics.jsonl") < names.index("80.tmp")
+    assert names.index("metrics.jsonl") < names.index(unfinished("80.npz"))
     metrics = dict(synced)["metrics.jsonl"]
     assert metrics.count(b"\n") == 2
     assert metrics == metrics_path(seed.job.run, 0).read_bytes()
@@ -74,14 +76,37 @@ def test_records_that_are_moved_away_are_on_disk_before_they_are_gone(tmp_path, 
     removed, names, kept, _ = synced
     assert removed == (metrics_log.REMOVED, (LINE % 80).encode())
     assert names == (tmp_path.name, ["metrics.jsonl", metrics_log.REMOVED])
-    assert kept == ("metrics.tmp", (LINE % 40).encode())
+    assert kept == (unfinished("metrics.jsonl"), (LINE % 40).encode())
     assert path.read_text() == LINE % 40
 
 
 def test_settings_are_on_disk(tmp_path, synced):
     write_json(tmp_path / "config.json", {"seed": 3})
-    assert synced[0] == ("config.tmp", b'{\n  "seed": 3\n}\n')
+    assert synced[0] == (unfinished("config.json"), b'{\n  "seed": 3\n}\n')
     assert synced[1] == (tmp_path.name, ["config.json"])
+
+
+def test_two_processes_can_write_a_file_while_another_reads_it(tmp_path):
+    path = tmp_path / "run.json"
+    texts = [bytes([letter]) * 100_000 for letter in b"ab"]
+    replace(path, texts[0])
+    with ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as pool:
+        writes = [pool.submit(_write_often, path, text) for text in texts]
+        while not all(write.done() for write in writes):
+            assert path.read_bytes() in texts
+        for write in writes:
+            write.result()
+    assert os.listdir(tmp_path) == ["run.json"]
+
+
+def _write_often(path, text):
+    for _ in range(100):
+        replace(path, text)
+
+
+def unfinished(name):
+    """Return the name of a file that this process has begun."""
+    return f".{name}.{os.getpid()}.tmp"
 
 
 def test_a_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):

@@ -8,7 +8,7 @@ from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import GridOptions, SweepOptions
 from hmasd_jax.cli.parse import drop_options
 from hmasd_jax.config import TrainConfig, build, change
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.folder import RunError, check_unused
 from hmasd_jax.training.signals import stop_on_signal
 
 
@@ -23,9 +23,12 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     configs = {run: change(config, cell) for run, cell in cells.items()}
     for cell_config in configs.values():
         build(cell_config)
-    started = [run for run in cells if run.exists()]
+    started = [run for run in cells if (run / "config.json").exists()]
     if started and not options.resume:
         raise RunError(f"{started[0]} exists: continue with --resume, or choose another --run-dir")
+    for run in cells:
+        if run not in started:
+            check_unused(run)
     codes = []
     with stop_on_signal() as interrupted:
         for run, cell in cells.items():

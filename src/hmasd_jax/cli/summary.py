@@ -12,22 +12,42 @@ from envs_jax.optional import MissingPackageError
 from hmasd_jax.analysis.curves import plot_runs
 from hmasd_jax.analysis.learning import LAST, main_metric
 from hmasd_jax.analysis.statistics import few_seeds
+from hmasd_jax.config import ConfigError, read_table, subtable
 from hmasd_jax.runs import metrics_log
-from hmasd_jax.runs.folder import metrics_path, seeds_of, write_json
+from hmasd_jax.runs.folder import LOCK, exclusive, metrics_path, seeds_of, write_json
 from hmasd_jax.training.job import Event
 
 
 def write(run: Path, results: dict[int, Event]) -> None:
     """Write RUN/summary.json from the metrics on disk.
 
+    Other seeds keep the status that they had.
+
     Args:
         run: Folder of the run.
         results: Last event of each seed.
     """
-    seeds = {str(index): summarize(run, index) for index in seeds_of(run)}
-    for index, event in results.items():
-        seeds.setdefault(str(index), {}).update(status=event.kind, **event.data)
-    write_json(run / "summary.json", {"seeds": seeds, "over_seeds": over_seeds(seeds)})
+    path = run / "summary.json"
+    with exclusive(run / LOCK):  # Another process may end another seed.
+        seeds: dict[str, dict[str, Any]] = {str(i): summarize(run, i) for i in seeds_of(run)}
+        for name, end in _read_ends(path).items():
+            seeds.setdefault(name, {}).update(end)
+        for index, event in results.items():
+            seeds.setdefault(str(index), {}).update(status=event.kind, **event.data)
+        write_json(path, {"seeds": seeds, "over_seeds": over_seeds(seeds)})
+
+
+def _read_ends(path: Path) -> dict[str, dict[str, Any]]:
+    """Read how each seed ended; nothing if the summary is absent or damaged."""
+    try:
+        seeds = subtable(read_table(path), "seeds")
+    except ConfigError:
+        return {}
+    return {
+        name: {key: seed[key] for key in ("status", "message") if key in seed}
+        for name, seed in seeds.items()
+        if isinstance(seed, dict) and "status" in seed
+    }
 
 
 def summarize(run: Path, index: int) -> dict[str, Any]:

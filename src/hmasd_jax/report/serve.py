@@ -70,6 +70,7 @@ class LiveReport:
             page = self._make(version)
         except (*EXPECTED, OSError) as error:
             self._tell(str(error))
+            self.version = ""  # The files may come back as they were.
             return False
         except Exception as error:
             if self._tell(one_line(error)):

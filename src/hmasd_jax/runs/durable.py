@@ -34,9 +34,9 @@ def sync_folder(folder: Path) -> None:
 def replace(path: Path, data: bytes | memoryview) -> None:
     """Write a file atomically: after a kill or a power cut it is either old or new.
 
-    It is on disk when this returns.
+    It is on disk when this returns. Where several processes write it, each does so atomically.
     """
-    unfinished = path.with_suffix(".tmp")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with unfinished.open("wb") as file:
             file.write(data)

@@ -38,6 +38,10 @@ except ImportError:  # Windows, where two processes are then able to train the s
     fcntl = None
 
 
+LOCK = ".lock"
+"""File that a process holds while it changes files of a whole run."""
+
+
 class RunError(RuntimeError):
     """A run folder cannot be used as asked; the message is one line with the remedy."""
 
@@ -93,7 +97,7 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
     """Create a new run folder.
 
     Args:
-        run: Path of the folder. An empty folder may exist there.
+        run: Path of the folder. It may exist if it is empty, or if its creation was cut short.
         config: Configuration to write to `config.json`.
         command: Words of the command line to record in `run.json`.
 
@@ -101,20 +105,25 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
         RunError: The path is in use or cannot be written.
     """
     try:
-        _check_unused(run)
+        check_unused(run)
+        record = describe(command)
         run.mkdir(parents=True, exist_ok=True)
-        write_json(run / "run.json", describe(command))
-        write_json(run / "config.json", to_json(config))
+        write_json(run / "run.json", record)
+        write_json(run / "config.json", to_json(config))  # The last: with it, this is a run.
     except OSError as error:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
 
-def _check_unused(run: Path) -> None:
-    """Raise an error unless a new run can have this path."""
+def check_unused(run: Path) -> None:
+    """Check that a new run can have this path.
+
+    Raises:
+        RunError: It cannot; the message says why.
+    """
     other = "choose another --run-dir"
     if (run / "config.json").exists():
         raise RunError(f"{run} exists: continue it with --resume, or {other}")
-    if run.is_dir() and any(run.iterdir()):
+    if run.is_dir() and {path.name for path in run.glob("[!.]*")} - {"run.json"}:
         raise RunError(f"{run} is not empty, and not a run folder: {other}")
     if run.exists() and not run.is_dir():
         raise RunError(f"{run} is a file: {other}")
@@ -125,16 +134,17 @@ def note_resume(run: Path, config: TrainConfig, command: list[str]) -> None:
 
     If `run.json` is damaged, a copy of it is kept.
     """
-    path = run / "run.json"
-    try:
-        record = _read_record(path)
-    except ConfigError as error:
-        copy = path.with_name("run.damaged.json")
-        path.replace(copy)
-        logging.getLogger(__name__).warning("warning: %s; it is now %s", error, copy)
-        record = {}
-    write_json(path, record | {"resumed": [*record.get("resumed", []), describe(command)]})
-    write_json(run / "config.json", to_json(config))
+    path, now = run / "run.json", describe(command)
+    with exclusive(run / LOCK):  # Another process may resume another seed.
+        try:
+            record = _read_record(path)
+        except ConfigError as error:
+            copy = path.with_name("run.damaged.json")
+            path.replace(copy)
+            logging.getLogger(__name__).warning("warning: %s; it is now %s", error, copy)
+            record = {}
+        write_json(path, record | {"resumed": [*record.get("resumed", []), now]})
+        write_json(run / "config.json", to_json(config))
 
 
 def _read_record(path: Path) -> dict[str, Any]:

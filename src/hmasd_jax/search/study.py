@@ -126,7 +126,7 @@ def _check_unused(folder: Path) -> None:
     Raises:
         RunError: It is not.
     """
-    begun = {"preset.json", "preset.tmp", "study.tmp", "journal.log", "journal.log.lock"}
+    begun = {"preset.json", "journal.log", "journal.log.lock"}
     others = {path.name for path in folder.glob("[!.]*")} - begun
     if others and not is_search(folder):
         raise RunError(f"{folder} is not empty, and not a search: choose another --run-dir")
