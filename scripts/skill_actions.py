@@ -56,7 +56,7 @@ def summarize(battles: Transition, num_enemies: int) -> dict[str, Any]:
     over = battles.outcome.done
     return {
         "episodes": int(over.sum()),
-        "wins": float(battles.outcome.reward.sum() / over.sum()),
+        "wins": float(battles.outcome.info["success"][over].mean()),
         "enemies_killed": float(num_enemies - battles.outcome.info["enemies_alive"][over].mean()),
         "episode_length": float(over.size / over.sum()),
         "share_in_range": float((armed & alive).sum() / alive.sum()),

@@ -12,7 +12,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from envs_jax.overcooked.rules import COOKING, POT, SOUP
+from envs_jax.overcooked.rules import COOKING, NOTHING, POT, SOUP
 from hmasd_jax.analysis.episodes import play
 from hmasd_jax.runs.load import load_run
 from scripts.records import record_seeds
@@ -31,10 +31,11 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
     for player in (0, 1):
         game = int(np.flatnonzero(states.swapped[:, 0] == bool(player))[0])
         steps = np.flatnonzero(timesteps.reward[game])
-        carries_soup = states.held[game][steps - 1] > SOUP
+        # The one who serves has empty hands afterwards.
+        serves = (states.held[game][steps - 1] > SOUP) & (states.held[game][steps] == NOTHING)
         games[f"agent 0 is player {player}"] = {
             "served_at": steps.tolist(),
-            "by_player": carries_soup.argmax(1).tolist(),
+            "by_player": serves.argmax(1).tolist(),
             "from_pot": soups_from(states.grid[game]),
         }
     return {"seed": seed, "env_steps": trained.env_steps, **games}
