@@ -17,10 +17,10 @@ from hmasd_jax.exploration.successes import (
     ImitationConfig,
     imitation_loss,
     insert,
-    reward_to_come,
 )
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.actor_critic import ActorCriticMemory, SequenceBatch
+from hmasd_jax.rl.gae import reward_to_go
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.types import Learner
 
@@ -57,7 +57,7 @@ def _batch(num_sequences, action=0):
 def test_rewards_flow_back_to_the_start_of_their_episode_only():
     reward = jnp.array([[0.0], [4.0], [0.0], [8.0]])
     done = jnp.array([[False], [True], [False], [False]])
-    assert_allclose(reward_to_come(reward, done, 0.5)[:, 0], [2, 4, 4, 8])
+    assert_allclose(reward_to_go(reward, done, 0.5)[:, 0], [2, 4, 4, 8])
 
 
 def test_only_sequences_with_reward_are_stored_the_oldest_are_replaced():

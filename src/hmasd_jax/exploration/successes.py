@@ -17,6 +17,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
 from hmasd_jax.networks.actor_critic import ActorCritic, SequenceBatch
+from hmasd_jax.rl.gae import reward_to_go
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.rollout import cut
 from hmasd_jax.rl.sgd import gradient_step
@@ -38,8 +39,8 @@ class ImitationConfig:
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
-    the buffer and train the critics. The policy gradient takes only their worst actions, once play
-    that samples succeeds (`greedy_copies.blame_greedy`)."""
+    the buffer, if there is one, and train the critics. The policy gradient takes only their worst
+    actions, once play that samples succeeds (`greedy_copies.blame_greedy`)."""
 
     @property
     def steps_per_update(self) -> int:
@@ -127,7 +128,7 @@ def make_imitation(
 
     def store(successes: Successes, batch: SequenceBatch, transitions: Transition, key: Key):
         outcome = transitions.outcome
-        to_come = reward_to_come(outcome.reward, outcome.done, ppo.discount)
+        to_come = reward_to_go(outcome.reward, outcome.done, ppo.discount)
         return insert(successes, batch, cut(to_come, ppo.sequence_length), config.inserts, key)
 
     def train(successes: Successes, learner: Learner, optimizer: optax.GradientTransformation):
@@ -168,19 +169,6 @@ def empty_buffer(
         weight=jnp.zeros(sequences),
         next_slot=jnp.int32(0),
     )
-
-
-def reward_to_come(
-    reward: Float[Array, "T E"], done: Bool[Array, "T E"], discount: float
-) -> Float[Array, "T E"]:
-    """Sum the discounted rewards from each step to the end of its episode or of the rollout."""
-
-    def backward(later, step):
-        reward, done = step
-        total = reward + discount * jnp.where(done, 0.0, later)
-        return total, total
-
-    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, done), reverse=True)[1]
 
 
 def insert(

@@ -1,10 +1,10 @@
 """Rewards of the two levels: r^h (Sec. 3.2) and r^i (Eq. 4)."""
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.hmasd.config import HMASDConfig
+from hmasd_jax.rl.gae import reward_to_go
 
 
 def low_level_reward(
@@ -47,10 +47,4 @@ def high_level_reward(
     Returns:
         The sum from each step to the end of its segment, which is r^h at a segment's first step.
     """
-
-    def backward(later, step):
-        reward, last = step
-        total = reward + jnp.where(last, 0.0, later)
-        return total, total
-
-    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, last), reverse=True)[1]
+    return reward_to_go(reward, last, discount=1.0)

@@ -45,6 +45,19 @@ def gae(
     return advantage, advantage + value
 
 
+def reward_to_go(
+    reward: Float[Array, "T *batch"], last: Bool[Array, "T *batch"], discount: float
+) -> Float[Array, "T *batch"]:
+    """Sum the discounted rewards from each step to the next step that is a `last` one, or to T."""
+
+    def backward(later, step):
+        reward, last = step
+        total = reward + discount * jnp.where(last, 0.0, later)
+        return total, total
+
+    return jax.lax.scan(backward, jnp.zeros_like(reward[0]), (reward, last), reverse=True)[1]
+
+
 def rollout_advantage(
     reward: Float[Array, "T E #N"],
     value: Float[Array, "T E #N"],
