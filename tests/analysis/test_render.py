@@ -143,16 +143,11 @@ def test_a_gif_can_be_as_slow_and_as_fast_as_allowed(fps, tmp_path):
     assert iio.immeta(out)["duration"] == 1000 / fps
 
 
-def test_skills_that_do_not_exist_are_told_in_one_line(trained):
-    def refuse(state, greedy, skills=None):
-        raise ValueError("team skill must be between 0 and 1, got 7")
-
-    refusing = trained._replace(algorithm=trained.algorithm._replace(policy=refuse))
-    with pytest.raises(RunError, match="between 0 and 1, got 7"):
-        render.make_policy(refusing, (7, None, None))
+def test_maps_need_skills(trained, monkeypatch):
     without = trained._replace(config=SimpleNamespace(algorithm=PPOConfig()))
-    with pytest.raises(RunError, match="PPO has no skills to hold"):
-        render.make_policy(without, (0, None, None))
+    monkeypatch.setattr(skill_maps, "load_run", lambda *_: without)
+    with pytest.raises(RunError, match="PPO has no skills"):
+        skill_maps.draw_skills("run", "maps.png")
 
 
 def test_visits_are_where_skills_lead(trained):

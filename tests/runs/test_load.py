@@ -1,5 +1,6 @@
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +17,7 @@ from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.checkpoint import CheckpointError
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, create, seed_folder
-from hmasd_jax.runs.load import load_policy, load_run
+from hmasd_jax.runs.load import load_policy, load_run, make_policy
 from tests.helpers.algorithms import draw_state
 
 PPO = PPOConfig(hidden_size=8, num_envs=2, rollout_length=20, num_epochs=1)
@@ -120,8 +121,15 @@ def test_holding_nothing_changes_nothing(run):
     ],
 )
 def test_skills_that_do_not_exist(run, skills, message):
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(RunError, match=message):
         load_policy(run, skills=skills)
+
+
+def test_algorithms_without_skills_hold_none(run):
+    trained = load_run(run)
+    without = trained._replace(config=SimpleNamespace(algorithm=PPO))
+    with pytest.raises(RunError, match="PPO has no skills: choose a run of HMASD"):
+        make_policy(without, (0, None, None))
 
 
 def test_errors_name_what_is_there(run, tmp_path):

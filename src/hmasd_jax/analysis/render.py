@@ -16,8 +16,7 @@ from envs_jax.optional import require
 from hmasd_jax.analysis.episodes import Episode, record
 from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
 from hmasd_jax.runs.folder import RunError
-from hmasd_jax.runs.load import TrainedRun, load_run
-from hmasd_jax.types import Policy
+from hmasd_jax.runs.load import load_run, make_policy
 from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
 
 PAUSE = 1.5
@@ -75,25 +74,6 @@ def render_run(
         title = f"episode {number + 1}/{episodes}" if episodes > 1 else f"seed {seed}"
         frames += draw_episode(trained.env, episode, title, pause=round(PAUSE * fps))
     return write(out, frames, fps)
-
-
-def make_policy(
-    trained: TrainedRun, skills: Sequence[int | None] | None = None, greedy: bool = True
-) -> Policy:
-    """Return the policy of a run, which holds the given skills.
-
-    Raises:
-        RunError: The algorithm has no skills, or one of the skills does not exist.
-    """
-    if skills is None:
-        return trained.algorithm.policy(trained.state, greedy)
-    if not hasattr(trained.config.algorithm, "num_team_skills"):
-        name = type(trained.config.algorithm).__name__.removesuffix("Config")
-        raise RunError(f"{name} has no skills to hold: render it without")
-    try:
-        return trained.algorithm.policy(trained.state, greedy, skills=skills)
-    except ValueError as error:
-        raise RunError(str(error)) from error
 
 
 def draw_episode(

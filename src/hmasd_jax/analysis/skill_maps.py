@@ -12,9 +12,8 @@ from envs_jax.declared import describe_agents
 from envs_jax.optional import require
 from hmasd_jax.analysis.episodes import play
 from hmasd_jax.analysis.figures import save
-from hmasd_jax.analysis.render import make_policy
 from hmasd_jax.runs.folder import RunError
-from hmasd_jax.runs.load import TrainedRun, load_run
+from hmasd_jax.runs.load import TrainedRun, check_skills, load_run, make_policy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,8 +41,8 @@ def draw_skills(
 
     Raises:
         MissingPackageError: matplotlib is not installed.
-        RunError: `run` is not the folder of a run, has no such seed or another environment, or
-            `out` cannot be written.
+        RunError: `run` is not the folder of a run, has no such seed, no skills or another
+            environment, or `out` cannot be written.
         CheckpointError: There is no such checkpoint, or it is damaged.
     """
     require("matplotlib", "plots", "plotting")
@@ -52,6 +51,7 @@ def draw_skills(
     trained = load_run(run, seed, step)
     if not isinstance(trained.env, AliceAndBob):
         raise RunError(f"{run} is not a run on alice_and_bob, the only environment with maps")
+    check_skills(trained)
     visits = visitation(trained, episodes)  # (skills, agents, rows, columns)
     choices = coordinator_choices(trained, episodes)  # (team skills, agents, skills)
     num_skills, num_agents = visits.shape[:2]

@@ -73,12 +73,37 @@ def load_policy(
             Only for algorithms with skills.
 
     Raises:
-        RunError: `run` is not the folder of a run, or has no such seed.
+        RunError: `run` is not the folder of a run, or has no such seed. Its algorithm has no
+            skills, the number of skills is wrong, or one does not exist.
         ConfigError: The configuration of the run is not valid in this version.
         CheckpointError: There is no such checkpoint, or it is damaged.
-        ValueError: The number of skills is wrong, or a skill does not exist.
     """
-    trained = load_run(run, seed, step)
+    return make_policy(load_run(run, seed, step), skills, greedy)
+
+
+def make_policy(
+    trained: TrainedRun, skills: Sequence[int | None] | None = None, greedy: bool = True
+) -> Policy:
+    """Return the policy of a run, which holds the given skills.
+
+    Raises:
+        RunError: The algorithm has no skills, their number is wrong, or one does not exist.
+    """
     if skills is None:
         return trained.algorithm.policy(trained.state, greedy)
-    return trained.algorithm.policy(trained.state, greedy, skills=skills)
+    check_skills(trained)
+    try:
+        return trained.algorithm.policy(trained.state, greedy, skills=skills)
+    except ValueError as error:
+        raise RunError(str(error)) from error
+
+
+def check_skills(trained: TrainedRun) -> None:
+    """Check that the algorithm of a run has skills.
+
+    Raises:
+        RunError: It has none.
+    """
+    if not hasattr(trained.config.algorithm, "num_team_skills"):
+        name = type(trained.config.algorithm).__name__.removesuffix("Config")
+        raise RunError(f"{name} has no skills: choose a run of HMASD, or name no skills")
