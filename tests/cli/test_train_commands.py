@@ -92,7 +92,7 @@ def test_the_next_step_is_a_command_for_this_run(algorithm, seed, end, tmp_path)
 
 def test_a_run_folder_holds_everything(alone):
     names = {"config.json", "run.json", "summary.json", "curves.png", "curves.csv", "seed_1"}
-    assert {path.name for path in alone.iterdir()} == names
+    assert {path.name for path in alone.glob("[!.]*")} == names
     assert read_config(alone) == load(None, SETTINGS)
     record = json.loads((alone / "run.json").read_text())
     assert record["command"][1:4] == ["-m", "hmasd_jax.train", "train"]
@@ -190,6 +190,16 @@ def test_what_follows_is_told_at_the_start(tmp_path, capsys):
     assert "evaluations      4 of 5 episodes, every 80 env steps" in text
     assert "total_env_steps 210 is rounded down to 200, a multiple of the 20 env steps" in text
     assert "predicted memory" in text
+
+
+def test_a_resume_that_is_refused_changes_nothing(alone, tmp_path, capsys):
+    run = shutil.copytree(alone, tmp_path / "run")
+    before = {path: path.read_bytes() for path in run.glob("*.json")}
+    command = ["train", "--resume", "--run-dir", str(run), "--seed-index", "1"]
+    with lock(run, 1):
+        assert main([*command, "--total-env-steps", "400"]) == 2
+    assert "another process is training" in capsys.readouterr().err
+    assert before == {path: path.read_bytes() for path in run.glob("*.json")}
 
 
 def test_an_existing_folder_is_not_overwritten(alone, capsys):

@@ -12,6 +12,7 @@ from hmasd_jax.cli.options import RunOptions, SweepOptions, TrainOptions
 from hmasd_jax.config import TrainConfig, build, identity, name_differences, to_json
 from hmasd_jax.runs.folder import (
     RunError,
+    check_unlocked,
     create,
     note_resume,
     read_config,
@@ -111,7 +112,7 @@ def run_seeds(
     env, algorithm = build(config)  # Before anything is written: settings may not fit.
     console, run = Console(quiet=not group.leads), options.run_dir
     assert run is not None
-    _prepare(run, config, options.resume, shell_command(words), group)
+    _prepare(run, config, seeds, options.resume, shell_command(words), group)
     distributed.leave(group)
     mine = group.share(seeds)
     text = describe(config, seeds, run, placement, group)
@@ -144,12 +145,15 @@ def run_seeds(
         return distributed.gather(group, run, seeds, results, interrupted)
 
 
-def _prepare(run: Path, config: TrainConfig, resume: bool, line: list[str], group: Group) -> None:
+def _prepare(
+    run: Path, config: TrainConfig, seeds: list[int], resume: bool, line: list[str], group: Group
+) -> None:
     """Create the run folder, or check that it is the run to resume; once for all processes."""
     ok = False
     try:
         if group.leads and resume:
             check_same(read_config(run), config, run)
+            check_unlocked(run, seeds)  # A command that is refused must not change the run.
             note_resume(run, config, line)
             distributed.forget(group, run)
         elif group.leads:

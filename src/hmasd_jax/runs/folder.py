@@ -213,6 +213,18 @@ def seed_lock(run: Path, index: int) -> Path:
     return seed_folder(run, index) / ".lock"
 
 
+def check_unlocked(run: Path, indices: list[int]) -> None:
+    """Check that no other process is training one of the seeds.
+
+    Raises:
+        RunError: One is.
+    """
+    for index in indices:
+        if seed_lock(run, index).exists():
+            with lock(run, index):
+                pass
+
+
 @contextmanager
 def hold(path: Path) -> Iterator[bool]:
     """Hold a lock file if no other process does, and yield whether this one does."""

@@ -94,7 +94,7 @@ class Display:
             self._take_record(event, track)
         elif event.kind in ENDS:
             self._end(event, track)
-        self._draw(event.seed, track)
+        self._draw(track)
 
     def _start(self, event: Event, track: Track) -> None:
         track.env_steps = event.data["env_steps"]
@@ -141,7 +141,7 @@ class Display:
         if track.task is not None:
             self._progress.update(track.task, visible=False)
 
-    def _draw(self, seed: int, track: Track) -> None:
+    def _draw(self, track: Track) -> None:
         done = sum(self._total if t.ended else t.env_steps for t in self._tracks.values())
         self._progress.update(self._all, completed=done, text=self._describe_all())
         if track.task is not None and track.first is not None:
