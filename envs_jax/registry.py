@@ -33,9 +33,10 @@ def register(name: str, environment: type) -> None:
         environment: Frozen dataclass that implements `Environment`.
 
     Raises:
-        ValueError: `environment` is not a dataclass, or another environment has this name.
+        ValueError: `environment` is not a frozen dataclass, or another environment has this name.
     """
-    if not (isinstance(environment, type) and dataclasses.is_dataclass(environment)):
+    is_dataclass = isinstance(environment, type) and dataclasses.is_dataclass(environment)
+    if not is_dataclass or environment.__hash__ is None:  # Algorithms are cached by it.
         raise ValueError(f"{name}: an environment must be a frozen dataclass, got {environment!r}")
     if ENVIRONMENTS.setdefault(name, environment) is not environment:
         taken = ENVIRONMENTS[name].__qualname__

@@ -10,6 +10,8 @@ LARGEST = 2**31 - 1
 """Largest count, since counters and indices of arrays have 32 bits."""
 LARGEST_FLOAT = 3.4e38
 """Largest number, since arrays have 32 bits."""
+SMALLEST = 1e-12
+"""Least value of what is added to a divisor, or a gradient clipped to. With 0, a zero gives NaN."""
 SLOWEST_FPS, FASTEST_FPS = 0.1, 100
 """Frames per second that an animation can have: a GIF counts in hundredths of a second."""
 

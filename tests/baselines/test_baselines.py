@@ -134,6 +134,15 @@ def test_metrics_are_finite_scalars_named_as_those_of_hmasd(trained):
     assert trained.metrics["episodes"] > 0
 
 
+def test_mat_needs_no_whole_sequences_but_whole_minibatches():
+    ppo = PPOConfig(num_envs=2, rollout_length=15, sequence_length=10, num_minibatches=3)
+    assert MATConfig(ppo=ppo).ppo == ppo
+    with pytest.raises(ValueError, match=r"ppo.num_minibatches 4 does not divide .* = 30"):
+        MATConfig(ppo=replace(ppo, num_minibatches=4))
+    with pytest.raises(ValueError, match=r"ppo.rollout_length 15 is not a multiple"):
+        MAPPOConfig(ppo=ppo)
+
+
 @pytest.mark.parametrize(
     ("make", "config"), [(make_mappo, MAPPOConfig(ppo=PPO)), (make_mat, MATConfig(ppo=PPO))]
 )

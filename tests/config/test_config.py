@@ -112,6 +112,9 @@ MISTAKES = [
     ({"algorithm.num_skills": 0}, "algorithm.num_skills must be between 1 and 1024, got 0"),
     ({"algorithm.ppo.num_minibatches": 5}, "algorithm.ppo.num_minibatches 5 does not divide"),
     ({"algorithm.ppo.sequence_length": 7}, "algorithm.ppo.rollout_length 100 is not a multiple"),
+    ({"algorithm.ppo.adam_epsilon": 0.0}, "algorithm.ppo.adam_epsilon must be at least 1e-12"),
+    ({"algorithm.ppo.max_grad_norm": 0.0}, "algorithm.ppo.max_grad_norm must be at least 1e-12"),
+    ({"algorithm.frontier.fade_entropy": True}, "algorithm.frontier.fade_entropy needs coef above"),
     ({"algorithm.ppo.discount": 1.1}, "algorithm.ppo.discount must be between 0 and 1, got 1.1"),
     (
         {"algorithm.ppo.learning_rate": float("nan")},

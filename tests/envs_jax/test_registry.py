@@ -80,6 +80,8 @@ def test_register():
         envs_jax.register("mine", AliceAndBob)
     with pytest.raises(ValueError, match="must be a frozen dataclass, got <class 'int'>"):
         envs_jax.register("number", int)
+    with pytest.raises(ValueError, match=r"must be a frozen dataclass, got .*Thawed"):
+        envs_jax.register("thawed", dataclass(type("Thawed", (), {})))
 
 
 def test_package_stands_alone():

@@ -47,6 +47,10 @@ class MATConfig:
         check_range(self, "num_heads", low=1)
         check_range(self, "num_blocks", low=1, high=100)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", self.ppo.hidden_size)
+        steps = self.ppo.num_envs * self.ppo.rollout_length
+        check_divides(
+            "ppo.num_minibatches", self.ppo.num_minibatches, "num_envs x rollout_length", steps
+        )
 
 
 CHUNK = 400

@@ -67,6 +67,10 @@ class FrontierConfig:
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
         check_range(self, "forgetting", low=0, high=1)
+        if self.fade_entropy and self.coef == 0:
+            raise ValueError(
+                "fade_entropy needs coef above 0: without the frontier no episodes are counted"
+            )
 
 
 def check_frontier_counts(config: Any, **constant: float) -> None:

@@ -78,13 +78,13 @@ def actions_entropy_coef(
         config: settings of the greedy copies and of sharpening.
         coef: coefficient before the weight of the bonus and before sharpening.
     """
-    coef = coef * bonus.entropy_weight(bonus_state)
+    faded = coef * bonus.entropy_weight(bonus_state)
     if config.sharpening == 0:
-        return coef
+        return faded
     greedy = jnp.asarray(mark_greedy(config))
     lost = bonus.unsolved(bonus_state, ~greedy) - bonus.unsolved(bonus_state, greedy)
     chance = all_solved(bonus, bonus_state, config.ppo.num_envs)
-    return coef - config.sharpening * jnp.maximum(lost, 0.0) * chance
+    return faded - config.sharpening * jnp.maximum(lost, 0.0) * chance
 
 
 def without_greedy(

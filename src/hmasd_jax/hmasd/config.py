@@ -111,6 +111,7 @@ class HMASDConfig:
 
     def __post_init__(self) -> None:
         ppo = self.ppo
+        ppo.check_sequences()
         check_range(self, "skill_interval", low=1)
         check_range(self, "num_team_skills", "num_skills", low=1, high=1024)
         check_range(self, "low_entropy_decay_updates", low=0)

@@ -7,7 +7,7 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.types import Metrics
-from hmasd_jax.validation import LARGEST, check_divides, check_multiple, check_range
+from hmasd_jax.validation import LARGEST, SMALLEST, check_divides, check_multiple, check_range
 
 
 @dataclass(frozen=True)
@@ -67,15 +67,23 @@ class PPOConfig:
                 f"{self.rollout_length}"
             )
         check_range(self, "decay_updates", "average_updates", low=0)
-        check_range(self, "learning_rate", "adam_epsilon", "max_grad_norm", "clip_epsilon", low=0)
+        check_range(self, "learning_rate", "clip_epsilon", low=0)
+        check_range(self, "adam_epsilon", "max_grad_norm", low=SMALLEST)
         check_range(self, "value_coef", "huber_delta", low=0)
         check_range(self, "discount", "gae_lambda", low=0, high=1)
+
+    def check_sequences(self) -> None:
+        """Check that minibatches of whole sequences fill a rollout, for networks with a memory.
+
+        Raises:
+            ValueError: They do not.
+        """
         check_multiple(
-            "rollout_length", self.rollout_length, "sequence_length", self.sequence_length
+            "ppo.rollout_length", self.rollout_length, "ppo.sequence_length", self.sequence_length
         )
         sequences = self.num_envs * (self.rollout_length // self.sequence_length)
         sequences_name = "num_envs x rollout_length / sequence_length"
-        check_divides("num_minibatches", self.num_minibatches, sequences_name, sequences)
+        check_divides("ppo.num_minibatches", self.num_minibatches, sequences_name, sequences)
 
 
 def has_choice(action_mask: Bool[Array, "*batch N actions"]) -> Bool[Array, "*batch N"]:

@@ -58,6 +58,7 @@ class MAPPOConfig:
         check_range(self, "solved_step_factor", low=0, high=1)
         check_frontier_counts(self, sharpening=0, solved_step_factor=1)
         check_sharpening(self.sharpening, self.imitation)
+        self.ppo.check_sequences()
         self.imitation.check_copies(self.ppo.num_envs)
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import SMALLEST, check_range
 
 MASERVariant = Literal["released", "paper"]
 
@@ -54,7 +54,8 @@ class QLearningConfig:
         check_range(self, "num_envs", "rollout_length", "gradient_steps", "batch_size", low=1)
         check_range(self, "buffer_size", "target_interval", low=1)
         check_range(self, "hidden_size", low=1, high=2**16)
-        check_range(self, "learning_rate", "rms_epsilon", "max_grad_norm", "epsilon_steps", low=0)
+        check_range(self, "learning_rate", "epsilon_steps", low=0)
+        check_range(self, "rms_epsilon", "max_grad_norm", low=SMALLEST)
         check_range(self, "rms_decay", "discount", "epsilon_start", "epsilon_end", low=0, high=1)
         if self.buffer_size < self.batch_size:
             raise ValueError(
