@@ -8,14 +8,16 @@ Repetitions differ in their random numbers alone. The settings must leave the sh
 state as they are.
 """
 
-import json
+import argparse
 from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from hmasd_jax import config as configs
+from hmasd_jax.config.from_table import Text
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.training.compiled import build_executable
 from hmasd_jax.types import Metrics
@@ -46,7 +48,8 @@ def continue_training(
         for _ in range(num_updates // POOLED):
             now, pooled = run_updates(now)
             for name, value in pooled.items():
-                scores[name].append(round(float(value), 4))
+                # None where no episode ended.
+                scores[name].append(None if np.isnan(value) else round(float(value), 4))
         rows.append({"repetition": repetition, **scores})
     return rows
 
@@ -58,17 +61,28 @@ def score(metrics: Metrics) -> Metrics:
     return {"success": 100 * metrics[SUCCESS].sum() / metrics["episodes"].sum()}
 
 
+def read_setting(text: str) -> tuple[str, Text]:
+    """Split NAME=VALUE."""
+    name, sign, value = text.partition("=")
+    if not sign:
+        raise argparse.ArgumentTypeError(f"write NAME=VALUE, got {text!r}")
+    return name, Text(value)
+
+
 def main() -> None:
     """Read the arguments, go on, and write the record."""
     parser = checkpoint_parser(__doc__, "folder of a run", updates=100)
-    parser.add_argument("--set", nargs="*", default=[], metavar="NAME=VALUE", help="other settings")
+    parser.add_argument(
+        "--set", nargs="*", default=[], type=read_setting, metavar="NAME=VALUE",
+        help="other settings",
+    )  # fmt: skip
     parser.add_argument("--repetitions", type=int, default=4, help="times to do them")
     args = parser.parse_args()
+    if args.updates < 1 or args.updates % POOLED:
+        parser.error(f"--updates {args.updates} is not a multiple of {POOLED}")
     about = describe_script(args.run)
-    named = (setting.split("=", 1) for setting in args.set)
-    settings = {name: json.loads(value) for name, value in named}
     rows = continue_training(
-        args.run, args.seed, args.step, settings, args.updates, args.repetitions
+        args.run, args.seed, args.step, dict(args.set), args.updates, args.repetitions
     )
     write_rows(args.out, about, rows)
 
