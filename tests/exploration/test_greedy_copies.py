@@ -86,7 +86,7 @@ def test_sharpening_needs_copies_that_act_greedily():
 
 @pytest.mark.parametrize(("sharpening", "entropy_coef"), [(0.0, 0.25), (4.0, 0.125)])
 def test_mappo_trains_with_the_coefficient_that_sharpening_leaves(sharpening, entropy_coef):
-    """Of the four copies two act greedily and win, and the others lose half of their episodes."""
+    """Two copies act greedily and win, and the others lose a quarter of their episodes."""
     ppo = PPOConfig(num_envs=4, rollout_length=10, num_epochs=2, hidden_size=8)
     imitation = ImitationConfig(greedy_copies=2)
     config = MAPPOConfig(entropy_coef=0.5, ppo=ppo, imitation=imitation)
