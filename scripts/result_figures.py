@@ -4,18 +4,8 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from hmasd_jax.analysis.curves import recorded_curves
-from hmasd_jax.analysis.figures import (
-    COLORS,
-    MAX_CURVES,
-    draw_curves,
-    finish,
-    label_ends,
-    name_band,
-    save,
-)
+from hmasd_jax.analysis.figures import draw_groups
 from scripts.records import RESULTS
 
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
@@ -70,23 +60,7 @@ def draw_together(task: str, files: Sequence[Path]) -> None:
 
 
 def draw(files: Sequence[Path], title: str, metric: str, out: Path) -> Path:
-    """Draw recorded results, at most `MAX_CURVES` a panel, each labeled at its end."""
-    from matplotlib.figure import Figure
-
-    numbers = styles_of([path.stem for path in files])
+    """Draw recorded results, each in the style of its configuration."""
     groups = [recorded_curves(path) for path in files]
-    count = -(-len(files) // MAX_CURVES)
-    figure = Figure(figsize=(6.4, 0.8 + 3.4 * count), dpi=150, layout="constrained")
-    panels = figure.subplots(count, sharex=True, sharey=True, squeeze=False)[:, 0]
-    for axes, part in zip(panels, np.array_split(np.arange(len(files)), count)):
-        ends = []
-        for i in part:
-            label, curves = groups[i]
-            color = COLORS[numbers[i] % len(COLORS)]
-            ends.append(draw_curves(axes, curves, label, color, numbers[i]))
-        finish(axes, title if axes is panels[0] else "", metric)
-        label_ends(axes, ends)
-    name_band(panels[-1], [curves for _, curves in groups])
-    for axes in panels[:-1]:
-        axes.set_xlabel("")
-    return save(figure, out)
+    styles = styles_of([path.stem for path in files])
+    return draw_groups(groups, title, metric, out, styles=styles)

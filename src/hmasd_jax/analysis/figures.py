@@ -143,7 +143,12 @@ def _spread(heights: Array, gap: float) -> Array:
 
 
 def draw_groups(
-    groups: Sequence[Group], title: str, metric: str, out: Path, show_seeds: bool = False
+    groups: Sequence[Group],
+    title: str,
+    metric: str,
+    out: Path,
+    show_seeds: bool = False,
+    styles: Sequence[int] | None = None,
 ) -> Path:
     """Draw groups of curves, at most `MAX_CURVES` a panel, each labeled at its end.
 
@@ -153,6 +158,8 @@ def draw_groups(
         metric: Name of the metric.
         out: Image to write: .png, .pdf, .svg, ..
         show_seeds: If True, also draw a thin line per seed.
+        styles: Number of color and dashes of each group, which it can share with other figures. By
+            default, each panel counts its own.
 
     Raises:
         RunError: `out` cannot be written.
@@ -164,9 +171,12 @@ def draw_groups(
     figure = Figure(figsize=size, dpi=150, layout="constrained")
     panels = figure.subplots(count, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, part in zip(panels, np.array_split(np.arange(len(groups)), count)):
+        numbers = range(len(part)) if styles is None else [styles[i] for i in part]
         ends = [
-            draw_curves(axes, groups[i][1], groups[i][0], color, number, show_seeds)
-            for number, (i, color) in enumerate(zip(part, colors(len(part))))
+            draw_curves(
+                axes, groups[i][1], groups[i][0], COLORS[number % len(COLORS)], number, show_seeds
+            )
+            for i, number in zip(part, numbers)
         ]
         finish(axes, title if axes is panels[0] else "", metric)
         label_ends(axes, ends)
