@@ -52,10 +52,11 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 steps. In Overcooked no episode is solved, and the two are the same |
 | `_clipped` | a step between these two (6d33107): gradients clipped at a norm of 0.5, steps of \
 full length, and skills that are paid in Overcooked, too |
-| `_coordinator` | the step before the row without it (dee9840): only the coordinator's steps \
-shorten |
-| `_both_levels` | a step beside the row without it (19ab0f7): the discoverer's steps shorten like \
-the coordinator's |
+| `_coordinator` | a later step (dee9840): only the coordinator's steps shorten |
+| `_both_levels` | a step beside the next (19ab0f7): the discoverer's steps shorten like the \
+coordinator's |
+| `_unsharpened` | the step before the row without it: actions are not sharpened, and the frontier \
+counts an episode several times in a bin that was made of several |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |

@@ -16,7 +16,7 @@ RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets."""
 EARLIER = (
     "hmasd_general_before", "hmasd_general_clipped", "hmasd_general_coordinator",
-    "hmasd_general_both_levels",
+    "hmasd_general_both_levels", "hmasd_general_unsharpened",
 )  # fmt: skip
 """Beginnings of the names of runs with earlier forms of the general preset."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
@@ -40,7 +40,8 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     full = [path for path in rest if path.stem == "hmasd"]
     presets = [path for path in rest if path.stem in ("hmasd", "hmasd_general")]
     systems = [path for path in rest if path not in full]
-    beside = (full, presets, presets, *[full] * len(TOGETHER[3:]))
+    today = [path for path in presets if path not in full]
+    beside = (full, presets, today, *[full] * len(TOGETHER[3:]))
     groups = (systems, general, earlier, retired, ablations, *skills)
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
