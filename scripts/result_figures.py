@@ -38,10 +38,9 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     general, ablations = take(*GENERAL), take("no")
     skills = [take(f"hmasd_{setting}") for setting in SKILLS]
     full = [path for path in rest if path.stem == "hmasd"]
-    presets = [path for path in rest if path.stem in ("hmasd", "hmasd_general")]
+    ours = [path for path in rest if path.stem == "hmasd_general"]
     systems = [path for path in rest if path not in full]
-    today = [path for path in presets if path not in full]
-    beside = (full, presets, today, *[full] * len(TOGETHER[3:]))
+    beside = (full, full + ours, ours, *[full] * len(TOGETHER[3:]))
     groups = (systems, general, earlier, retired, ablations, *skills)
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 

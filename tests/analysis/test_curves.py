@@ -55,7 +55,7 @@ def test_mean_and_band(run):
 
     axes = Figure().add_subplot()
     curves = [(np.arange(2.0), np.array([0.0, 1.0])), (np.arange(2.0), np.array([0.5, 1.0]))]
-    plot.draw_curves(axes, curves, "name", "#000000", show_seeds=True)
+    plot.draw_curves(axes, curves, "name", show_seeds=True)
     *seeds, mean = axes.lines
     assert len(seeds) == 2
     np.testing.assert_array_equal(mean.get_ydata(), [0.25, 1.0])
@@ -132,7 +132,7 @@ def test_seeds_are_not_drawn_unless_asked_for():
 
     axes = Figure().add_subplot()
     curves = [(np.arange(2.0), np.array([0.0, 1.0]))] * 3
-    assert plot.draw_curves(axes, curves, "name", "#000000") == (1.0, 1.0)
+    assert plot.draw_curves(axes, curves, "name") == (1.0, 1.0)
     assert len(axes.lines) == 1
 
 

@@ -12,7 +12,6 @@ import numpy as np
 
 from envs_jax.optional import require
 from hmasd_jax.analysis.figures import (
-    COLORS,
     MAX_CURVES,
     Curve,
     colors,
@@ -92,8 +91,8 @@ def plot_runs(
         return Path(out)
     figure, main, side = new_figure(panels=True)
     ends = [
-        draw_curves(main, seeds, label, color, number, show_seeds)
-        for number, ((label, seeds), color) in enumerate(zip(groups, colors(len(runs))))
+        draw_curves(main, seeds, label, number, show_seeds)
+        for number, (label, seeds) in enumerate(groups)
     ]
     finish(main, title, metric)
     label_ends(main, ends)
@@ -128,7 +127,7 @@ def plot_result(result: Path, out: Path, reference: Reference | None = None) -> 
     record = json.loads(Path(result).read_text())
     label, curves = recorded_curves(result)
     figure, axes, _ = new_figure(panels=False)
-    draw_curves(axes, curves, label, COLORS[0], show_seeds=True)
+    draw_curves(axes, curves, label, show_seeds=True)
     if reference is not None:
         end = record["env_steps"][-1]
         _draw_reference(axes, reference, end, percent=record["metric"] == "success")

@@ -59,7 +59,6 @@ def draw_curves(
     axes: "Axes",
     curves: Sequence[Curve],
     label: str,
-    color: str,
     number: int = 0,
     show_seeds: bool = False,
 ) -> tuple[float, float]:
@@ -69,14 +68,14 @@ def draw_curves(
         axes: Axes to draw on.
         curves: One curve per seed.
         label: Name of the group.
-        color: Its color.
-        number: Place of the group in the figure. Each has its own dashes and places of markers, so
-            that curves which coincide stay apart.
+        number: Place of the group in the figure. Each has its own color, dashes and places of
+            markers, so that curves which coincide stay apart.
         show_seeds: If True, also draw a thin line per seed.
 
     Returns:
         The end of the mean, for `label_ends`.
     """
+    color = COLORS[number % len(COLORS)]
     for own, values in curves if show_seeds else ():
         axes.plot(own, values, color=color, linewidth=0.7, alpha=0.35)
     steps, values = common_steps(curves)
@@ -173,9 +172,7 @@ def draw_groups(
     for axes, part in zip(panels, np.array_split(np.arange(len(groups)), count)):
         numbers = range(len(part)) if styles is None else [styles[i] for i in part]
         ends = [
-            draw_curves(
-                axes, groups[i][1], groups[i][0], COLORS[number % len(COLORS)], number, show_seeds
-            )
+            draw_curves(axes, groups[i][1], groups[i][0], number, show_seeds)
             for i, number in zip(part, numbers)
         ]
         finish(axes, title if axes is panels[0] else "", metric)
