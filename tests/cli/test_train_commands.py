@@ -15,6 +15,7 @@ from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint, metrics_log
 from hmasd_jax.runs.folder import (
+    LOCK,
     checkpoint_folder,
     create,
     lock,
@@ -91,8 +92,8 @@ def test_the_next_step_is_a_command_for_this_run(algorithm, seed, end, tmp_path)
 
 
 def test_a_run_folder_holds_everything(alone):
-    names = {"config.json", "run.json", "summary.json", "curves.png", "curves.csv", "seed_1"}
-    assert {path.name for path in alone.glob("[!.]*")} == names
+    names = {"config.json", "run.json", "summary.json", "curves.png", "curves.csv", "seed_1", LOCK}
+    assert {path.name for path in alone.iterdir()} == names
     assert read_config(alone) == load(None, SETTINGS)
     record = json.loads((alone / "run.json").read_text())
     assert record["command"][1:4] == ["-m", "hmasd_jax.train", "train"]

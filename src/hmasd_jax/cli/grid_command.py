@@ -8,7 +8,7 @@ from hmasd_jax.cli.hints import suggest_next
 from hmasd_jax.cli.options import GridOptions, SweepOptions
 from hmasd_jax.cli.parse import drop_options
 from hmasd_jax.config import TrainConfig, build, change
-from hmasd_jax.runs.folder import RunError, check_unused
+from hmasd_jax.runs.folder import RunError, check_unused, is_run
 from hmasd_jax.training.signals import stop_on_signal
 
 
@@ -23,7 +23,7 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     configs = {run: change(config, cell) for run, cell in cells.items()}
     for cell_config in configs.values():
         build(cell_config)
-    started = [run for run in cells if (run / "config.json").exists()]
+    started = [run for run in cells if is_run(run)]
     if started and not options.resume:
         raise RunError(f"{started[0]} exists: continue with --resume, or choose another --run-dir")
     for run in cells:

@@ -19,6 +19,7 @@ from hmasd_jax.cli.train_commands import (
     run_seeds,
 )
 from hmasd_jax.config import ConfigError, TrainConfig, build, change
+from hmasd_jax.runs.folder import is_run
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.search import trials
 from hmasd_jax.search.space import count, preset_values, read_space
@@ -167,7 +168,7 @@ def conclude(search: Search, console: Console, options: TuneOptions, interrupted
     if best is None:
         return FAILED
     run = trial_folder(search.folder, best.number)
-    if best.number == 0 or not (run / "config.json").exists():  # Another machine may have it.
+    if best.number == 0 or not is_run(run):  # Another machine may have it.
         suggest_next("report", folder)
         return 0
     seed = search.definition.config.seed + 1

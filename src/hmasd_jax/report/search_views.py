@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.folder import RunError, is_run
 from hmasd_jax.search.space import value_of
 from hmasd_jax.search.study import Search, is_search, read_search, trial_folder
 from hmasd_jax.search.tables import STATES, count_states, describe_score, write_value
@@ -54,7 +54,7 @@ def expand(runs: Sequence[Path]) -> list[Path]:
         leader = best(read_search(run))
         numbers = dict.fromkeys([0, leader.number if leader else 0])
         folders = [trial_folder(run, number) for number in numbers]
-        shown = [folder for folder in folders if (folder / "config.json").exists()]
+        shown = [folder for folder in folders if is_run(folder)]
         if not shown:
             raise RunError(f"{run} has no trial to show yet: wait for the first one")
         found += shown

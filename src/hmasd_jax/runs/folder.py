@@ -39,7 +39,7 @@ except ImportError:  # Windows, where two processes are then able to train the s
 
 
 LOCK = ".lock"
-"""File that a process holds while it changes files of a whole run."""
+"""File that a process holds while it trains a seed, or changes files of a whole run or search."""
 
 
 class RunError(RuntimeError):
@@ -114,6 +114,11 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
 
+def is_run(folder: Path) -> bool:
+    """Tell whether a folder is that of a run, whose creation was not cut short."""
+    return (folder / "config.json").exists()
+
+
 def check_unused(run: Path) -> None:
     """Check that a new run can have this path.
 
@@ -121,7 +126,7 @@ def check_unused(run: Path) -> None:
         RunError: It cannot; the message says why.
     """
     other = "choose another --run-dir"
-    if (run / "config.json").exists():
+    if is_run(run):
         raise RunError(f"{run} exists: continue it with --resume, or {other}")
     if run.is_dir() and {path.name for path in run.glob("[!.]*")} - {"run.json"}:
         raise RunError(f"{run} is not empty, and not a run folder: {other}")
@@ -210,7 +215,7 @@ def lock(run: Path, index: int) -> Iterator[None]:
 
 def seed_lock(run: Path, index: int) -> Path:
     """Return the lock file that the process which trains a seed holds."""
-    return seed_folder(run, index) / ".lock"
+    return seed_folder(run, index) / LOCK
 
 
 def check_unlocked(run: Path, indices: list[int]) -> None:

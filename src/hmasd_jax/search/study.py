@@ -22,15 +22,12 @@ from hmasd_jax.config import (
     read_table,
     to_json,
 )
-from hmasd_jax.runs.folder import RunError, exclusive, write_json
+from hmasd_jax.runs.folder import LOCK, RunError, exclusive, write_json
 from hmasd_jax.search.space import Choices, Space, preset_values, read_space
 from hmasd_jax.search.storage import hide_password, open_storage
 
 if TYPE_CHECKING:
     import optuna
-
-LOCK = ".lock"
-"""File of the folder that a process holds while it prepares the search or takes a trial."""
 
 
 class Definition(NamedTuple):

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from hmasd_jax.runs.folder import exclusive, hold, seed_lock, seeds_of
+from hmasd_jax.runs.folder import LOCK, exclusive, hold, is_run, seed_lock, seeds_of
 from hmasd_jax.search.score import read_evaluations, scores_so_far
-from hmasd_jax.search.study import LOCK, Search, trial_folder
+from hmasd_jax.search.study import Search, trial_folder
 from hmasd_jax.training.job import Event
 from hmasd_jax.training.schedule import make_plan
 
@@ -41,7 +41,7 @@ def next_trial(search: Search) -> Iterator["Trial | None"]:
             for seed in seeds_of(run):  # Workers of a killed process save before they end.
                 with exclusive(seed_lock(run, seed)):
                     pass
-            if not (run / "config.json").exists():  # Killed before anything was trained.
+            if not is_run(run):  # Killed before anything was trained.
                 shutil.rmtree(run, ignore_errors=True)
         yield trial
 
