@@ -143,6 +143,18 @@ def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
     assert_allclose(reward, (1 - 3 / 7.6) ** NUM_ENVS * without, rtol=1e-5)
 
 
+def test_the_step_of_a_success_is_counted_but_not_paid(bonus, empty):
+    """Two copies rise to 4: one is rewarded, and one is not."""
+    outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 4.0], [0.0, 4.0])
+    wins = outcome._replace(reward=outcome.reward.at[1, 2].set(1.0))
+    frontier, reward = train(bonus, empty, wins)
+    assert_allclose(frontier.mastered[RISES, 0, 1:], 2 / 7.6, rtol=1e-6)
+    assert_allclose(reward[1, 2], reward[1, 0])
+    assert reward[1, 3] > 0 > reward[1, 2]
+    worth = 3 * odds_against(jnp.float32(2 / 7.6), CONFIG.largest_worth)
+    assert_allclose(frontier.bonuses.mean, worth / 8, rtol=1e-5)
+
+
 @pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])
 def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy, weight, empty):
     bonus = make_frontier(ENV, dataclasses.replace(CONFIG, fade_entropy=fade_entropy), NUM_ENVS)

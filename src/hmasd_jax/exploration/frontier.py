@@ -19,6 +19,10 @@ the team has lost leads back to the frontier.
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
+The step at which a reward ends the episode is paid by that reward alone. When the last enemy is
+gone, many features change at once. A bonus for all of them is hundreds of times the usual one, and
+the first wins would triple the unit of the bonus, which is the deviation of all bonuses so far.
+
 The bonus is multiplied by the chance that rewards end no episode of a batch, one per copy of the
 environment. A team that has found out how to win learns from reward alone. Where rewards end no
 episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
@@ -149,6 +153,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         frontier, is_first = explore(frontier, outcome, config)
         worth = odds_against(frontier.mastered, config.largest_worth)
         bonus = jnp.where(is_first, worth, 0.0).sum((-3, -2, -1))
+        bonus = jnp.where(is_success(outcome), 0.0, bonus)
         seen = moments.update(frontier.bonuses, bonus)
         all_fail = unsolved(frontier) ** num_envs
         unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
@@ -195,7 +200,6 @@ def explore(
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
     visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
-    successes = (outcome.terminated & (outcome.reward > 0)).sum(0)
     keep = 1.0 - 1.0 / config.window
     reached = frontier.reached * keep + is_first.sum((0, 1))
     episodes = frontier.episodes * keep + outcome.done.sum(0)
@@ -210,11 +214,16 @@ def explore(
         visited=visited,
         before=states[-1],
         begins=outcome.done[-1],
-        successes=frontier.successes * keep + successes,
+        successes=frontier.successes * keep + is_success(outcome).sum(0),
         returns=returns,
         best_return=best_return,
     )
     return frontier, is_first
+
+
+def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
+    """Return whether a reward ends an episode at each step."""
+    return outcome.terminated & (outcome.reward > 0)
 
 
 def first_visits(
