@@ -11,6 +11,7 @@ from scripts.records import ROOT
 SCRIPTS = [
     "battle_tactics",
     "comparison",
+    "first_wins",
     "lost_battles",
     "random_play",
     "record_result",

@@ -1,0 +1,27 @@
+"""The script that records when seeds first win."""
+
+import json
+
+from scripts.first_wins import measure
+
+
+def test_a_row_has_the_first_success_and_the_first_tenth(tmp_path):
+    """Seed 0 stores a success in its second update and wins a tenth in its fourth; seed 1 never."""
+    (tmp_path / "run.json").write_text(json.dumps({"command": ["train", "a"], "commit": "c"}))
+    for seed, wins in enumerate([(0.0, 0.02, 0.0, 0.2), (0.0, 0.0)]):
+        folder = tmp_path / f"seed_{seed}"
+        folder.mkdir()
+        records = [{"kind": "eval", "env_steps": 0, "success": 1.0}]
+        for update, share in enumerate(wins):
+            stored = float(share > 0)
+            records.append({"kind": "train", "env_steps": 10 * update + 10, "success": share,
+                            "exploration/stored_successes": stored})  # fmt: skip
+        lines = [
+            json.dumps({"seed": seed, "wall_seconds": 0.0, **record}) + "\n" for record in records
+        ]
+        (folder / "metrics.jsonl").write_text("".join(lines))
+    about = {"command": "train a", "commit": "c"}
+    assert list(measure(tmp_path)) == [
+        {**about, "seed": 0, "first success": 20, "a tenth": 40, "trained": 40},
+        {**about, "seed": 1, "first success": None, "a tenth": None, "trained": 20},
+    ]
