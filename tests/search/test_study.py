@@ -6,7 +6,7 @@ import threading
 import pytest
 
 from hmasd_jax.config import load
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.folder import RunError, check_unused
 from hmasd_jax.search import trials
 from hmasd_jax.search.study import (
     Definition,
@@ -107,7 +107,8 @@ def test_a_trial_in_training_is_left_alone_and_a_dropped_one_continues(tmp_path)
     with trials.next_trial(other) as again:
         assert again.number == 0
         assert suggest_values(other, again) == values
-        assert not run.exists()
+        assert (run / "run.json").exists()  # Nothing is deleted.
+        check_unused(run)  # Yet training can begin there.
         again.report(0.5, 2)
         trials.complete(other, again, 0.5)
     assert read_search(tmp_path / "s").study.trials[0].intermediate_values == {1: 0.25, 2: 0.5}

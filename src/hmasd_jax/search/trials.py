@@ -4,12 +4,11 @@ A process holds a lock file for the trial that it trains. A trial that still cou
 is not locked was interrupted or killed: the next process continues it from its checkpoints.
 """
 
-import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from hmasd_jax.runs.folder import LOCK, exclusive, hold, is_run, seed_lock, seeds_of
+from hmasd_jax.runs.folder import LOCK, exclusive, hold, seed_lock, seeds_of
 from hmasd_jax.search.score import read_evaluations, scores_so_far
 from hmasd_jax.search.study import Search, trial_folder
 from hmasd_jax.training.job import Event
@@ -41,8 +40,6 @@ def next_trial(search: Search) -> Iterator["Trial | None"]:
             for seed in seeds_of(run):  # Workers of a killed process save before they end.
                 with exclusive(seed_lock(run, seed)):
                     pass
-            if not is_run(run):  # Killed before anything was trained.
-                shutil.rmtree(run, ignore_errors=True)
         yield trial
 
 
