@@ -55,8 +55,8 @@ full length, and skills that are paid in Overcooked, too |
 | `_coordinator` | a later step (dee9840): only the coordinator's steps shorten |
 | `_both_levels` | a step beside the next (19ab0f7): the discoverer's steps shorten like the \
 coordinator's |
-| `_unsharpened` | the step before the row without it: actions are not sharpened, and the frontier \
-counts an episode several times in a bin that was made of several |
+| `_unsharpened` | a step before the row without it: actions are not sharpened, and the frontier \
+pays the step of a success, and counts an episode several times in a bin that was made of several |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
