@@ -12,31 +12,35 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax.runs import metrics_log
-from hmasd_jax.runs.folder import metrics_path, seeds_of
+from hmasd_jax.analysis.curves import read_curves
+from hmasd_jax.analysis.figures import Curve
+from hmasd_jax.runs.folder import seeds_of
 from scripts.records import describe_script, write_rows
 
+METRICS = ("exploration/stored_successes", "success")
 TENTH = 0.1
 
 
 def measure(run: Path) -> Iterator[dict[str, Any]]:
     """Yield a row per seed of a run."""
+    curves = [read_curves(run, "train", metric) for metric in METRICS]
     about = json.loads((run / "run.json").read_text())
-    for seed in seeds_of(run):
-        records = [r for r in metrics_log.read(metrics_path(run, seed)) if r["kind"] == "train"]
+    for seed, stored, won in zip(seeds_of(run), *curves, strict=True):
         yield {
             "command": " ".join(about["command"]),
             "commit": about["commit"],
             "seed": seed,
-            "first success": first(records, "exploration/stored_successes", 0.0),
-            "a tenth": first(records, "success", TENTH),
-            "trained": records[-1]["env_steps"],
+            "first success": first_above(stored, 0.0),
+            "a tenth": first_above(won, TENTH),
+            "trained": int(won[0][-1]),
         }
 
 
-def first(records: list[dict[str, Any]], metric: str, level: float) -> int | None:
-    """Return the environment steps of the first record with a metric above `level`."""
-    return next((r["env_steps"] for r in records if r.get(metric, 0.0) > level), None)
+def first_above(curve: Curve, level: float) -> int | None:
+    """Return the environment steps of the first value above `level`."""
+    env_steps, values = curve
+    above = env_steps[values > level]
+    return int(above[0]) if len(above) else None
 
 
 def main() -> None:

@@ -2,15 +2,16 @@
 
 import json
 
+from hmasd_jax.runs.folder import metrics_path
 from scripts.first_wins import measure
+from tests.helpers.runs import write_run
 
 
 def test_a_row_has_the_first_success_and_the_first_tenth(tmp_path):
     """Seed 0 stores a success in its second update and wins a tenth in its fourth; seed 1 never."""
-    (tmp_path / "run.json").write_text(json.dumps({"command": ["train", "a"], "commit": "c"}))
+    run = write_run(tmp_path / "run", [[], []])
+    (run / "run.json").write_text(json.dumps({"command": ["train", "a"], "commit": "c"}))
     for seed, wins in enumerate([(0.0, 0.02, 0.0, 0.2), (0.0, 0.0)]):
-        folder = tmp_path / f"seed_{seed}"
-        folder.mkdir()
         records = [{"kind": "eval", "env_steps": 0, "success": 1.0}]
         for update, share in enumerate(wins):
             stored = float(share > 0)
@@ -19,9 +20,9 @@ def test_a_row_has_the_first_success_and_the_first_tenth(tmp_path):
         lines = [
             json.dumps({"seed": seed, "wall_seconds": 0.0, **record}) + "\n" for record in records
         ]
-        (folder / "metrics.jsonl").write_text("".join(lines))
+        metrics_path(run, seed).write_text("".join(lines))
     about = {"command": "train a", "commit": "c"}
-    assert list(measure(tmp_path)) == [
+    assert list(measure(run)) == [
         {**about, "seed": 0, "first success": 20, "a tenth": 40, "trained": 40},
         {**about, "seed": 1, "first success": None, "a tenth": None, "trained": 20},
     ]
