@@ -8,7 +8,6 @@ A table stands between `<!-- NAME -->` and `<!-- end -->`. The text around it is
 
 import argparse
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 from benchmarks.measure import ABOUT, text
 from hmasd_jax.config import RENAMED
 from hmasd_jax.runs import folder as run_folder
+from scripts.records import fill_place
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "performance.md"
@@ -81,15 +81,11 @@ def write_page() -> None:
     """Replace the tables in docs/performance.md by the recorded rows.
 
     Raises:
-        SystemExit: the page has no place for a recorded benchmark.
+        ValueError: the page has no place for a recorded benchmark.
     """
     page = PAGE.read_text()
     for path in sorted(RECORDS.glob("*.json")):
-        new = f"<!-- {path.stem} -->\n{table(json.loads(path.read_text()))}\n<!-- end -->"
-        pattern = rf"<!-- {path.stem} -->.*?<!-- end -->"
-        if not re.search(pattern, page, re.DOTALL):
-            raise SystemExit(f"{PAGE} has no place for {path.stem}: add <!-- {path.stem} -->")
-        page = re.sub(pattern, lambda _, new=new: new, page, flags=re.DOTALL)
+        page = fill_place(page, path.stem, table(json.loads(path.read_text())))
     PAGE.write_text(page)
 
 

@@ -88,13 +88,6 @@ def seeds_of(task: str, system: str) -> int:
 def table() -> list[str]:
     """Return the lines of a table of all systems on all tasks, beside the paper's numbers."""
     return [
-        "## The paper's comparison",
-        "",
-        "Ours above, the paper's below. `python scripts/comparison.py` counts the seeds that are",
-        "wanted and recorded, and with `--commands` prints what is left to run. A number marked *",
-        "has other settings than today's preset. A seed has learned if it scores at least a tenth",
-        "of the best of its cell.",
-        "",
         f"| task | {' | '.join(system.upper() for system in SYSTEMS)} |",
         "|---" * (1 + len(SYSTEMS)) + "|",
         *(f"| {task} | {' | '.join(shown(task, x) for x in SYSTEMS)} |" for task in TASKS),

@@ -1,8 +1,10 @@
-"""Record a finished run in results/TASK/NAME.json, draw it, and rewrite docs/results.md.
+"""Record a finished run in results/TASK/NAME.json, draw it, and rewrite the tables of results.
 
 python scripts/record_result.py RUN [RUN ...] results/alice_and_bob/hmasd.json
 python scripts/record_result.py --add RUN [RUN ...] results/alice_and_bob/hmasd.json
-python scripts/record_result.py      # only rewrites docs/results.md from the recorded files
+python scripts/record_result.py      # only rewrites the tables from the recorded files
+
+The tables are all of docs/results.md and the paper's comparison in README.md.
 
 TASK is one of `TASKS`. NAME begins with the algorithm's name, or with `no` for an ablation. Several
 runs are recorded as one. They have one seed each, from the same command but for its `--seed-index`.
@@ -18,12 +20,13 @@ from hmasd_jax.analysis.curves import plot_result
 from hmasd_jax.analysis.learning import LAST
 from scripts import comparison
 from scripts.paper import TASKS, Task, summarize_record
-from scripts.records import RESULTS, ROOT
+from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
 from scripts.run_records import add_seeds, cut_seeds, of_each_seed, record_together, stopped
 
 PAGE = ROOT / "docs" / "results.md"
+README = ROOT / "README.md"
 
 
 HEAD = """# Results
@@ -68,6 +71,12 @@ pays the step of a success, and counts an episode several times in a bin that wa
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
 has changed since, or the command changes it. A table below names these settings.
+
+## The paper's comparison
+
+Ours above, the paper's below. `python scripts/comparison.py` counts the seeds that are wanted and
+recorded, and with `--commands` prints what is left to run. A number marked * has other settings
+than today's preset. A seed has learned if it scores at least a tenth of the best of its cell.
 """
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit "
@@ -165,6 +174,11 @@ def page() -> str:
     return "\n".join([HEAD.format(last=LAST), *comparison.table(), "", *sections])
 
 
+def readme() -> str:
+    """Return the text of README.md, with the table of the comparison as recorded."""
+    return fill_place(README.read_text(), "comparison", "\n".join(comparison.table()))
+
+
 def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     """Write the record of `runs` to `out` and draw the images of its task.
 
@@ -191,7 +205,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
 
 
 def main() -> None:
-    """Record runs if some are given, then rewrite the page."""
+    """Record runs if some are given, then rewrite the tables."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument(
         "paths",
@@ -212,6 +226,7 @@ def main() -> None:
         except ValueError as error:
             parser.error(str(error))
     PAGE.write_text(page())
+    README.write_text(readme())
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,19 @@ def describe_script(run: Path | None = None) -> dict[str, Any]:
     if run is not None:
         about["run"] = json.loads((run / "run.json").read_text())
     return about
+
+
+def fill_place(text: str, name: str, new: str) -> str:
+    """Return `text` with `new` between `<!-- NAME -->` and `<!-- end -->`.
+
+    Raises:
+        ValueError: `text` has no such place.
+    """
+    pattern = rf"<!-- {name} -->.*?<!-- end -->"
+    if not re.search(pattern, text, re.DOTALL):
+        raise ValueError(f"no place for {name}: add <!-- {name} --> and <!-- end --> to the page")
+    filled = f"<!-- {name} -->\n{new}\n<!-- end -->"
+    return re.sub(pattern, lambda _: filled, text, count=1, flags=re.DOTALL)
 
 
 def write_rows(out: Path, about: dict[str, Any], rows: list[dict[str, Any]]) -> None:

@@ -204,6 +204,15 @@ def test_a_sweep_and_single_seeds_train_the_same():
 
 def test_page_shows_what_was_recorded():
     assert record_result.PAGE.read_text() == record_result.page()
+    assert record_result.README.read_text() == record_result.readme()
+
+
+def test_a_text_without_the_place_is_refused():
+    assert records.fill_place("a <!-- x --> b <!-- end --> c", "x", "y") == (
+        "a <!-- x -->\ny\n<!-- end --> c"
+    )
+    with pytest.raises(ValueError, match="no place for y"):
+        records.fill_place("<!-- x --> <!-- end -->", "y", "z")
 
 
 def test_tried_runs_are_added_and_replaced(run, tmp_path):
