@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from envs_jax import TimeStep
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.config import HMASDConfig
-from hmasd_jax.hmasd.policy import hold, make_policy, only
+from hmasd_jax.hmasd.policy import hold, make_policy
 from hmasd_jax.hmasd.rollout_phase import collect, read_clock
 
 
@@ -159,12 +159,12 @@ def test_greedy_acting_needs_no_randomness_and_treats_copies_alike(parts, traine
 
 def test_the_mask_of_held_skills_allows_all_others(parts):
     skills, counts = (None, 1, None), (parts.config.num_team_skills, parts.config.num_skills)
+    num_agents = parts.env.num_agents
     expected = np.ones((3, max(counts)), bool)
-    np.testing.assert_array_equal(hold((None,) * 3, *counts), expected)
+    np.testing.assert_array_equal(hold((None,) * 3, *counts, num_agents), expected)
     expected[1] = np.arange(max(counts)) == 1
-    np.testing.assert_array_equal(hold(skills, *counts), expected)
-    np.testing.assert_array_equal(only(parts, skills), expected)
-    assert hold((), 0, 0).shape == (0, 0)  # Policies without skills.
+    np.testing.assert_array_equal(hold(skills, *counts, num_agents), expected)
+    assert hold((), 0, 0, num_agents).shape == (0, 0)  # Policies without skills.
 
 
 def test_given_skills_are_followed_and_the_others_still_chosen(parts, trained):

@@ -56,7 +56,7 @@ def test_a_segment_after_the_end_begins_another_episode(scripted):
 
 @pytest.mark.parametrize(
     ("skills", "message"),
-    [([0], "choose 3 skills"), ([2, None, None], "Z must be"), ([0, None, 4], "z of agent 2")],
+    [([0], "3 in all"), ([2, None, None], "team skill must"), ([0, None, 4], "skill of agent 2")],
 )
 def test_skills_that_do_not_exist_are_refused(scripted, skills, message):
     driver = drive.Driver(scripted, 0)
@@ -193,7 +193,7 @@ def test_the_server_drives(server):
     form = {"skill0": "1", "skill1": "", "skill2": "", "act": "segment"}
     assert "Step 20, return 0." in ask(server, "/drive", "POST", **form)[1]
     status, text = ask(server, "/drive", "POST", **form | {"skill0": "7"})
-    assert (status, text) == (400, "error: Z must be between 0 and 1, got 7")
+    assert (status, text) == (400, "error: team skill must be between 0 and 1, got 7")
     status, text = ask(server, "/drive", "POST", **form | {"skill0": "x"})
     assert (status, text) == (400, "error: skills must be whole numbers, got x, , ")
     assert "Step 0, return 0." in ask(server, "/drive", "POST", act="restart")[1]

@@ -116,7 +116,7 @@ def allowed_skills(
     elif condition.kind == "free":
         tokens = []
     skills = [condition.skill if token in tokens else None for token in range(1 + num_agents)]
-    allowed = hold(skills, num_team_skills, num_skills)
+    allowed = hold(skills, num_team_skills, num_skills, num_agents)
     if condition.kind == "removed":
         allowed[tokens] = ~allowed[tokens]
     return allowed

@@ -15,6 +15,7 @@ from hmasd_jax.hmasd.discoverer import init_memory
 from hmasd_jax.hmasd.rollout_phase import blank_assignment, renew
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.types import Key, Policy
+from hmasd_jax.validation import ConfigError
 
 
 class PolicyMemory(NamedTuple):
@@ -49,11 +50,12 @@ def make_policy(
             per token. It is an array, so that one compiled program holds or removes any skill.
 
     Raises:
-        ValueError: wrong number of skills, or a skill that does not exist.
+        ConfigError: wrong number of skills, or a skill that does not exist.
     """
     config, num_agents = parts.config, parts.env.num_agents
     if skills is not None:
-        allowed = only(parts, skills)
+        counts = (config.num_team_skills, config.num_skills)
+        allowed = jnp.asarray(hold(skills, *counts, num_agents))
 
     def init(batch_shape: tuple[int, ...] = ()) -> PolicyMemory:
         memory = init_memory(batch_shape, num_agents, config.ppo.hidden_size)
@@ -78,30 +80,29 @@ def make_policy(
     return Policy(init, step)
 
 
-def only(parts: Parts, skills: Sequence[int | None]) -> Bool[Array, "tokens skills"]:
-    """Allow one skill per token, or all where it is None, after checking that each exists."""
-    counts = [parts.config.num_team_skills] + [parts.config.num_skills] * parts.env.num_agents
-    if len(skills) != len(counts):
-        raise ValueError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
-    for token, (skill, count) in enumerate(zip(skills, counts)):
-        if skill is not None and not 0 <= skill < count:
-            name = f"skill of agent {token}" if token else "team skill"
-            raise ValueError(f"{name} must be between 0 and {count - 1}, got {skill}")
-    return jnp.asarray(hold(skills, parts.config.num_team_skills, parts.config.num_skills))
-
-
 def hold(
-    skills: Sequence[int | None], num_team_skills: int, num_skills: int
+    skills: Sequence[int | None], num_team_skills: int, num_skills: int, num_agents: int
 ) -> Bool[np.ndarray, "tokens skills"]:
     """Return the mask that allows each token one skill, or all where it is None.
 
     The coordinator itself leaves out those that a token does not have.
 
     Args:
-        skills: (Z, z^1, .., z^N), each of which exists or is None.
-        num_team_skills: n_Z.
-        num_skills: n_z.
+        skills: (Z, z^1, .., z^N), or nothing where there are no skills.
+        num_team_skills: n_Z, or 0.
+        num_skills: n_z, or 0.
+        num_agents: N.
+
+    Raises:
+        ConfigError: wrong number of skills, or a skill that does not exist.
     """
+    counts = [num_team_skills] + [num_skills] * num_agents if num_skills else []
+    if len(skills) != len(counts):
+        raise ConfigError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
+    for token, (skill, count) in enumerate(zip(skills, counts)):
+        if skill is not None and not 0 <= skill < count:
+            name = f"skill of agent {token}" if token else "team skill"
+            raise ConfigError(f"{name} must be between 0 and {count - 1}, got {skill}")
     index = np.arange(max(num_team_skills, num_skills))
     rows = [(index >= 0) if skill is None else index == skill for skill in skills]
     return np.array(rows, bool).reshape(len(skills), len(index))

@@ -19,7 +19,6 @@ from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
 from hmasd_jax.runs.folder import checkpoint_folder
 from hmasd_jax.runs.load import load_run
-from hmasd_jax.validation import ConfigError
 
 MAX_WIDTH = 480
 """Widest picture (pixels)."""
@@ -91,14 +90,13 @@ class Driver:
         """Play one segment with the skills (Z, z^1, .., z^N); the coordinator chooses for None.
 
         Raises:
-            ConfigError: There is no such skill.
+            ConfigError: Wrong number of skills, or one does not exist.
         """
-        self._check(skills)
+        allowed = hold(skills, *self._counts, self._env.num_agents)
         if self.over:
             self.restart()
         self.chosen = tuple(skills)
         key = jax.random.fold_in(self._key, self.time)
-        allowed = hold(skills, *self._counts)
         self._loop, played = self._advance(self._trained.state, self._loop, allowed, key)
         self._take(jax.device_get(jax.tree.map(lambda x: x[0], played)))
 
@@ -132,15 +130,6 @@ class Driver:
             return advance(self._env, policy, loop, keys)
 
         return run
-
-    def _check(self, skills: Sequence[int | None]) -> None:
-        if len(skills) != self.num_tokens:
-            raise ConfigError(f"choose {self.num_tokens} skills, got {len(skills)}")
-        for token, skill in enumerate(skills):
-            count = self._counts[min(token, 1)]
-            if skill is not None and not 0 <= skill < count:
-                name = f"z of agent {token}" if token else "Z"
-                raise ConfigError(f"{name} must be between 0 and {count - 1}, got {skill}")
 
     def _take(self, played: Played) -> None:
         """Add a segment, cut at the end of the episode, and draw it."""
