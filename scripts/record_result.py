@@ -40,10 +40,10 @@ deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootst
 mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of training and evaluation,
 without compilation, summed over the seeds, or of all seeds at once on a GPU.
 
-"Stopped" seeds had no reward until they ended early, after half of their steps or more, and score 0.
-Those that are left are MAPPO's in two kitchens, which ended after 93 and 96 % of their steps. It is no
-good rule: three of 102 seeds with the paper's presets that had no reward in the first half learned
-later. Where other seeds ended early, the table gives their steps beside those of the preset.
+"Stopped" seeds had no reward until they ended early, after half of their steps or more, and score
+0. Those that are left are MAPPO's in two kitchens, which ended after 93 and 96 % of their steps. It
+is no good rule: three of 102 seeds with the paper's presets that had no reward in the first half
+learned later. Where others ended early, the table gives their steps beside those of the preset.
 
 A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
 

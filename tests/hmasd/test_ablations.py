@@ -13,7 +13,7 @@ from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.batches import high_batch
 from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.coordinator import assign, coordinator_loss
-from hmasd_jax.hmasd.policy import only
+from hmasd_jax.hmasd.policy import hold
 from hmasd_jax.hmasd.rollout_phase import collect
 
 
@@ -34,7 +34,9 @@ def _assign(parts, greedy=False, skills=None, copies=4000):
     tokens = jnp.zeros((1, 1 + env.num_agents), int)
     params = jax.jit(parts.coordinator.init)(jax.random.key(0), state, obs, tokens)
     state, obs = (jnp.repeat(x, copies, axis=0) for x in (state, obs))
-    allowed = None if skills is None else only(parts, skills)
+    config, num_agents = parts.config, parts.env.num_agents
+    counts = (config.num_team_skills, config.num_skills, num_agents)
+    allowed = None if skills is None else jnp.asarray(hold(skills, *counts))
     return jax.device_get(
         assign(parts.coordinator, params, state, obs, jax.random.key(1), greedy, allowed)
     )

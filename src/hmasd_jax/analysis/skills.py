@@ -109,13 +109,17 @@ def conditions(num_team_skills: int, num_skills: int, num_agents: int) -> list[C
 def allowed_skills(
     condition: Condition, num_team_skills: int, num_skills: int, num_agents: int
 ) -> NDArray[np.bool_]:
-    """Return the skills that a condition allows the team and each agent, (1 + N, skills)."""
+    """Return the skills that a condition allows the team and each agent, (1 + N, skills).
+
+    Without skills it is empty.
+    """
     tokens = [0] if condition.level == "team" else list(range(1, 1 + num_agents))
     if condition.kind == "one agent":
         tokens = [1 + condition.agent]
     elif condition.kind == "free":
         tokens = []
-    skills = [condition.skill if token in tokens else None for token in range(1 + num_agents)]
+    all_tokens = range(1 + num_agents if num_skills else 0)
+    skills = [condition.skill if token in tokens else None for token in all_tokens]
     allowed = hold(skills, num_team_skills, num_skills, num_agents)
     if condition.kind == "removed":
         allowed[tokens] = ~allowed[tokens]
