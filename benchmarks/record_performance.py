@@ -81,11 +81,14 @@ def write_page() -> None:
     """Replace the tables in docs/performance.md by the recorded rows.
 
     Raises:
-        ValueError: the page has no place for a recorded benchmark.
+        SystemExit: the page has no place for a recorded benchmark.
     """
     page = PAGE.read_text()
     for path in sorted(RECORDS.glob("*.json")):
-        page = fill_place(page, path.stem, table(json.loads(path.read_text())))
+        try:
+            page = fill_place(page, path.stem, table(json.loads(path.read_text())))
+        except ValueError as error:
+            raise SystemExit(f"{PAGE}: {error}") from error
     PAGE.write_text(page)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from envs_jax import Environment
 from envs_jax.declared import count_events, locate_agents
 from hmasd_jax.analysis.episodes import Episode, Played, cut, play, skills_of
-from hmasd_jax.hmasd.policy import hold
+from hmasd_jax.hmasd.policy import count_per_token, hold
 from hmasd_jax.runs.load import TrainedRun
 
 Kind = Literal["free", "held", "one agent", "removed"]
@@ -118,8 +118,8 @@ def allowed_skills(
         tokens = [1 + condition.agent]
     elif condition.kind == "free":
         tokens = []
-    all_tokens = range(1 + num_agents if num_skills else 0)
-    skills = [condition.skill if token in tokens else None for token in all_tokens]
+    counts = count_per_token(num_team_skills, num_skills, num_agents)
+    skills = [condition.skill if token in tokens else None for token in range(len(counts))]
     allowed = hold(skills, num_team_skills, num_skills, num_agents)
     if condition.kind == "removed":
         allowed[tokens] = ~allowed[tokens]

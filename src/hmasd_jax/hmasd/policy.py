@@ -80,6 +80,11 @@ def make_policy(
     return Policy(init, step)
 
 
+def count_per_token(num_team_skills: int, num_skills: int, num_agents: int) -> list[int]:
+    """Return n_Z and n_z for each agent, (1 + N,), or nothing where there are no skills."""
+    return [num_team_skills] + [num_skills] * num_agents if num_skills else []
+
+
 def hold(
     skills: Sequence[int | None], num_team_skills: int, num_skills: int, num_agents: int
 ) -> Bool[np.ndarray, "tokens skills"]:
@@ -96,7 +101,7 @@ def hold(
     Raises:
         ConfigError: wrong number of skills, or a skill that does not exist.
     """
-    counts = [num_team_skills] + [num_skills] * num_agents if num_skills else []
+    counts = count_per_token(num_team_skills, num_skills, num_agents)
     if len(skills) != len(counts):
         raise ConfigError(f"skills must be Z and one per agent, {len(counts)} in all: got {skills}")
     for token, (skill, count) in enumerate(zip(skills, counts)):

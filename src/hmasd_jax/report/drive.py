@@ -13,7 +13,7 @@ from hmasd_jax.analysis.episodes import Episode, Loop, Played, advance, skills_o
 from hmasd_jax.analysis.frames import INK, draw_frame
 from hmasd_jax.analysis.render import draw_pictures
 from hmasd_jax.analysis.skills import count_skills
-from hmasd_jax.hmasd.policy import hold
+from hmasd_jax.hmasd.policy import count_per_token, hold
 from hmasd_jax.report.media import Film, make_film, picture_uri
 from hmasd_jax.report.template import load_template
 from hmasd_jax.runs import checkpoint
@@ -84,7 +84,7 @@ class Driver:
     @property
     def num_tokens(self) -> int:
         """1 + N with skills, else 0."""
-        return 1 + self._env.num_agents if min(self._counts) > 0 else 0
+        return len(count_per_token(*self._counts, self._env.num_agents))
 
     def play(self, skills: Sequence[int | None]) -> None:
         """Play one segment with the skills (Z, z^1, .., z^N); the coordinator chooses for None.
