@@ -157,7 +157,7 @@ def test_normalization_takes_mean_and_deviation_from_active_agents_only():
 @pytest.mark.parametrize(("bootstrap", "targets"), [(False, [2.0, 2.0]), (True, [5.5, 6.0])])
 def test_a_rollouts_targets_end_or_bootstrap_at_a_time_limit(bootstrap, targets):
     # One copy, two steps of reward 2, each cut by the time limit; lambda = 0, gamma = 0.5.
-    # What was cut off is worth 7 and 8; what comes next, in new episodes, must not count.
+    # The steps cut off are worth 7 and 8. Those of new episodes must not count.
     outcome = SimpleNamespace(
         done=jnp.ones((2, 1), bool),
         truncated=jnp.ones((2, 1), bool),

@@ -70,7 +70,7 @@ def test_acting_step_by_step_gives_the_values_of_the_replayed_episode():
     ]
     params = networks.init(jax.random.key(1), steps[0])
     replayed = networks.values(params, episodes.seen.obs, episodes.action)
-    # What is left from an episode before must not matter.
+    # Memory of an earlier episode must not matter.
     memory = jax.tree.map(jnp.ones_like, networks.init_memory((B, N)))
     for t, timestep in enumerate(steps):
         hidden, values = networks.act(params, memory, timestep, jnp.full(B, t == 0))
