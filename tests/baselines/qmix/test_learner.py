@@ -69,7 +69,7 @@ def test_acting_step_by_step_gives_the_values_of_the_replayed_episode():
         SimpleNamespace(**{k: v[t] for k, v in episodes.seen._asdict().items()}) for t in range(T)
     ]
     params = networks.init(jax.random.key(1), steps[0])
-    replayed = networks.values(params, episodes.seen.obs, episodes.action)
+    replayed = evaluate_episodes(networks, params, params, episodes).online
     # Memory of an earlier episode must not matter.
     memory = jax.tree.map(jnp.ones_like, networks.init_memory((B, N)))
     for t, timestep in enumerate(steps):

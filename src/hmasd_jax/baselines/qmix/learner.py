@@ -4,13 +4,15 @@ Axes: T steps, or T + 1 with the one after the last, B episodes, N agents.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import optax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Float, Int, PyTree
 
+from hmasd_jax.baselines.qmix.chunks import over_chunks
 from hmasd_jax.baselines.qmix.config import QLearningConfig
 from hmasd_jax.baselines.qmix.networks import Networks
 from hmasd_jax.baselines.qmix.replay import Episodes
@@ -42,20 +44,52 @@ class Values(NamedTuple):
 def evaluate_episodes(
     networks: Networks, params: dict, target_params: dict, episodes: Episodes
 ) -> Values:
-    """Evaluate both sets of networks over whole episodes."""
+    """Evaluate both sets of networks over whole episodes. Values of late padding are 0."""
     seen, action = episodes.seen, episodes.action
-    online = networks.values(params, seen.obs, action)
-    target = jax.lax.stop_gradient(networks.values(target_params, seen.obs, action))
-    taken = choose(online[:-1], action)
+    memory = networks.init_memory(seen.obs.shape[1:-1])
+    last_action = jnp.concatenate([memory.last_action[None], action])
+    none = jnp.zeros_like(action[:1])  # after the last step
+    values = over_chunks(
+        partial(evaluate_steps, networks),
+        params,
+        target_params,
+        (memory.hidden, memory.hidden),
+        (seen, last_action, jnp.concatenate([action, none])),
+        episodes.longest,
+    )
+    return values._replace(taken=values.taken[:-1], total=values.total[:-1])
+
+
+def evaluate_steps(
+    networks: Networks, params: dict, target_params: dict, hidden: PyTree, steps: PyTree
+) -> tuple[PyTree, Values]:
+    """Evaluate both sets of networks over consecutive steps.
+
+    Args:
+        networks: Networks of the algorithm.
+        params: Their parameters.
+        target_params: Parameters of the target networks.
+        hidden: Hidden memories of both before the first step.
+        steps: What is seen, the last action and the action of each step.
+
+    Returns:
+        The next hidden memories, and values of as many steps in every field.
+    """
+    seen, last_action, action = steps
+    memory, target_memory = hidden
+    memory, online = networks.values(params, memory, seen.obs, last_action)
+    target_memory, target = networks.values(target_params, target_memory, seen.obs, last_action)
+    taken = choose(online, action)
     greedy = choose(target, mask_logits(online, seen.action_mask).argmax(-1))
-    return Values(
+    values = Values(
         online=online,
         taken=taken,
-        total=networks.mix(params, taken, seen.state[:-1]),
+        total=networks.mix(params, taken, seen.state),
         target=target,
         greedy=greedy,
-        greedy_total=jax.lax.stop_gradient(networks.mix(target_params, greedy, seen.state)),
+        greedy_total=networks.mix(target_params, greedy, seen.state),
     )
+    return (memory, target_memory), values
 
 
 def choose(

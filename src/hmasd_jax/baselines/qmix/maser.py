@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
+from hmasd_jax.baselines.qmix.chunks import over_chunks
 from hmasd_jax.baselines.qmix.config import MASERConfig, MASERVariant
 from hmasd_jax.baselines.qmix.learner import Values, evaluate_episodes, td_loss
 from hmasd_jax.baselines.qmix.networks import MASERNetworks
@@ -23,6 +24,17 @@ from hmasd_jax.types import Metrics
 
 TINY = 1e-12
 """Added under roots and to norms, whose gradients are not finite at 0."""
+
+
+def episode_features(
+    networks: MASERNetworks, params: dict, episodes: Episodes
+) -> Float[Array, "T B N size"]:
+    """Return the features of all observations before an action. Those of late padding are 0."""
+
+    def evaluate(params, constants, carry, obs):
+        return carry, networks.features(params, obs)
+
+    return over_chunks(evaluate, params, (), (), episodes.seen.obs[:-1], episodes.longest)
 
 
 def subgoals(
@@ -126,7 +138,7 @@ def released_loss(
     Credit is that of the next step. The code's other two losses depend on nothing that it trains.
     """
     values = evaluate_episodes(networks, params, target_params, episodes)
-    features = networks.features(params, episodes.seen.obs[:-1])
+    features = episode_features(networks, params, episodes)
     greedy, total = values.greedy[:-1], values.greedy_total[:-1]
     goal = subgoals(greedy, total, episodes.valid, config.individual_weight)
     distance = distances(jax.lax.stop_gradient(features), goal)
@@ -147,7 +159,7 @@ def paper_loss(
     value of the actions taken. Credit is that of the same step.
     """
     values = evaluate_episodes(networks, params, target_params, episodes)
-    features = networks.features(params, episodes.seen.obs[:-1])
+    features = episode_features(networks, params, episodes)
     greedy, total = values.greedy[:-1], jax.lax.stop_gradient(values.total)
     goal = subgoals(greedy, total, episodes.valid, config.individual_weight)
     distance, online = distances(features, goal), values.online[:-1]

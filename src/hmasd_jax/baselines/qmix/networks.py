@@ -20,12 +20,19 @@ class Linear(nn.Module):
 
     features: int
 
-    @nn.compact
     def __call__(self, x: Float[Array, "*batch inputs"]) -> Float[Array, "*batch features"]:
         """Map `x`."""
-        init = uniform(x.shape[-1])
-        kernel = self.param("kernel", init, (x.shape[-1], self.features))
-        return x @ kernel + self.param("bias", init, (self.features,))
+        kernel, bias = self.weights(x.shape[-1])
+        return x @ kernel + bias
+
+    @nn.compact
+    def weights(
+        self, inputs: int
+    ) -> tuple[Float[Array, "inputs features"], Float[Array, " features"]]:
+        """Return kernel and bias."""
+        init = uniform(inputs)
+        kernel = self.param("kernel", init, (inputs, self.features))
+        return kernel, self.param("bias", init, (self.features,))
 
 
 class AgentNet(nn.Module):
@@ -40,15 +47,16 @@ class AgentNet(nn.Module):
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch actions"]]:
         """Run over `time` steps. Return the last memory and the values at every step."""
         size, init = self.hidden_size, uniform(self.hidden_size)
-        from_input = Linear(3 * size, name="input")(nn.relu(Linear(size, name="first")(x)))
+        features = nn.relu(Linear(size, name="first")(x))
+        input_kernel, input_bias = Linear(3 * size, name="input").weights(size)
         kernel = self.param("kernel", init, (size, 3 * size))
         bias = self.param("bias", init, (3 * size,))
 
-        def step(h, from_input):
-            h = gru_cell(h, from_input, h @ kernel + bias)
+        def step(h, x):
+            h = gru_cell(h, x @ input_kernel + input_bias, h @ kernel + bias)
             return h, h
 
-        memory, hidden = jax.lax.scan(step, memory, from_input)
+        memory, hidden = jax.lax.scan(step, memory, features)
         return memory, Linear(self.num_actions, name="head")(hidden)
 
 
@@ -138,24 +146,18 @@ class Networks:
         new = first[..., None]
         hidden = jnp.where(new[..., None], fresh.hidden, memory.hidden)
         last_action = jnp.where(new, fresh.last_action, memory.last_action)
-        x = self._inputs(timestep.obs, last_action)
-        hidden, values = apply(self.agent, params["agent"], hidden, x[None])
+        hidden, values = self.values(params, hidden, timestep.obs[None], last_action[None])
         return hidden, values[0]
 
     def values(
         self,
         params: dict,
-        obs: Float[Array, "time batch N obs"],
-        action: Int[Array, "steps batch N"],
-    ) -> Float[Array, "time batch N actions"]:
-        """Return the values of all actions in whole episodes, which have one step less than time.
-
-        Time has one entry more than there are actions: the step after the last.
-        """
-        memory = self.init_memory(obs.shape[1:-1])
-        last_action = jnp.concatenate([memory.last_action[None], action])
-        x = self._inputs(obs, last_action)
-        return apply(self.agent, params["agent"], memory.hidden, x)[1]
+        hidden: Float[Array, "*batch N hidden"],
+        obs: Float[Array, "time *batch N obs"],
+        last_action: Int[Array, "time *batch N"],
+    ) -> tuple[Float[Array, "*batch N hidden"], Float[Array, "time *batch N actions"]]:
+        """Return the next hidden memory and the values of all actions, over steps of an episode."""
+        return apply(self.agent, params["agent"], hidden, self._inputs(obs, last_action))
 
     def mix(
         self,

@@ -62,6 +62,11 @@ class Episodes(NamedTuple):
     valid: Bool[Array, "T B"]
     """True at the steps of the episode, False at the padding."""
 
+    @property
+    def longest(self) -> Int[Array, ""]:
+        """Length of the longest episode."""
+        return self.valid.sum(axis=0).max()
+
 
 def init(step: Step, capacity: int, max_steps: int, rollout_length: int) -> Replay:
     """Return an empty replay.
