@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from envs_jax import Environment
 from envs_jax.declared import count_events, locate_agents
 from hmasd_jax.analysis.episodes import Episode, Played, cut, play, skills_of
+from hmasd_jax.hmasd.config import count_skills
 from hmasd_jax.hmasd.policy import count_per_token, hold
 from hmasd_jax.runs.load import TrainedRun
 
@@ -87,11 +88,6 @@ class SkillStudy(NamedTuple):
 Player = Callable[[Any, NDArray[np.bool_]], tuple[Plays, Played]]
 """Function of a train state and the allowed skills. It returns the episodes, and the first one with
 its simulator states."""
-
-
-def count_skills(config: Any) -> tuple[int, int]:
-    """Return n_Z and n_z of an algorithm's settings, or zeros if it has no skills."""
-    return getattr(config, "num_team_skills", 0), getattr(config, "num_skills", 0)
 
 
 def conditions(num_team_skills: int, num_skills: int, num_agents: int) -> list[Condition]:

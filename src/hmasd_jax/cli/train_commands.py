@@ -10,6 +10,7 @@ from rich.console import Console
 from hmasd_jax.cli import summary
 from hmasd_jax.cli.options import RunOptions, SweepOptions, TrainOptions
 from hmasd_jax.config import TrainConfig, build, identity, name_differences, to_json
+from hmasd_jax.hmasd.config import count_skills
 from hmasd_jax.runs.folder import (
     RunError,
     check_unlocked,
@@ -249,7 +250,7 @@ def next_step(run: Path) -> str:
     if first := seeds_of(run)[0]:
         words += ["--seed-index", str(first)]
     render = shlex.join(words)
-    if hasattr(read_config(run).algorithm, "num_team_skills"):
+    if any(count_skills(read_config(run).algorithm)):
         return f"see what the skills do: {render} --team-skill 0 --out skill_0.gif"
     return f"see what was learned: {render} --out episode.gif"
 

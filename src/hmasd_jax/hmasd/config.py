@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts
 from hmasd_jax.exploration.greedy_copies import check_sharpening
@@ -164,3 +164,8 @@ class HMASDConfig:
         """
         segments = self.ppo.num_envs * math.ceil(self.ppo.rollout_length / self.skill_interval)
         return segments if self.segment_clock == "rollout" else 2 * segments
+
+
+def count_skills(config: Any) -> tuple[int, int]:
+    """Return n_Z and n_z of an algorithm's settings, or zeros if it has no skills."""
+    return getattr(config, "num_team_skills", 0), getattr(config, "num_skills", 0)

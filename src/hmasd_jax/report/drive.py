@@ -12,7 +12,7 @@ from envs_jax.declared import describe_agents
 from hmasd_jax.analysis.episodes import Episode, Loop, Played, advance, skills_of, start
 from hmasd_jax.analysis.frames import INK, draw_frame
 from hmasd_jax.analysis.render import draw_pictures
-from hmasd_jax.analysis.skills import count_skills
+from hmasd_jax.hmasd.config import count_skills
 from hmasd_jax.hmasd.policy import count_per_token, hold
 from hmasd_jax.report.media import Film, make_film, picture_uri
 from hmasd_jax.report.template import load_template

@@ -9,9 +9,10 @@ from envs_jax.declared import name_actions
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of
 from hmasd_jax.analysis.learning import Band, curve_rows
-from hmasd_jax.analysis.skills import Track, conditions, count_skills
+from hmasd_jax.analysis.skills import Track, conditions
 from hmasd_jax.analysis.usefulness import table
 from hmasd_jax.config import to_json
+from hmasd_jax.hmasd.config import count_skills
 from hmasd_jax.report.gather import Run, gather
 from hmasd_jax.report.search_views import SearchView, expand, view_searches
 from hmasd_jax.report.template import load_template

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 from envs_jax import Environment
 from hmasd_jax.config import TrainConfig, build, to_json
+from hmasd_jax.hmasd.config import count_skills
 from hmasd_jax.runs.checkpoint import restore, state_template
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, read_config, seeds_of
 from hmasd_jax.types import Algorithm, Policy
@@ -104,6 +105,6 @@ def check_skills(trained: TrainedRun) -> None:
     Raises:
         RunError: It has none.
     """
-    if not hasattr(trained.config.algorithm, "num_team_skills"):
+    if not any(count_skills(trained.config.algorithm)):
         name = type(trained.config.algorithm).__name__.removesuffix("Config")
         raise RunError(f"{name} has no skills: choose a run of HMASD, or name no skills")
