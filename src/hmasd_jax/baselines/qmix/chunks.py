@@ -6,7 +6,6 @@ Only the carry before each chunk is kept for the gradient, which evaluates the c
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -105,7 +104,7 @@ def _starts(steps: PyTree) -> Int[Array, " chunks"]:
     return jnp.arange(0, _length(steps), _size(steps))
 
 
-def _chunk(steps: PyTree, start: Any) -> PyTree:
+def _chunk(steps: PyTree, start: Int[Array, ""]) -> PyTree:
     """Return the steps of a chunk. Padding repeats the last step."""
     rows = start + jnp.arange(_size(steps))
     return jax.tree.map(lambda x: jnp.take(x, rows, axis=0, mode="clip"), steps)
