@@ -127,7 +127,7 @@ def make_player(trained: TrainedRun, episodes: int = 100) -> Player:
 
     It is compiled once: the allowed skills are an argument.
     """
-    env, has_skills = trained.env, min(count_skills(trained.config.algorithm)) > 0
+    env, has_skills = trained.env, any(count_skills(trained.config.algorithm))
     keys = jax.random.split(jax.random.key(0), episodes)
 
     @jax.jit

@@ -17,7 +17,7 @@ STEPS = (jax.random.normal(jax.random.key(0), (T, B)), jnp.arange(T))
 
 
 def evaluate(params, constants, carry, steps):
-    """Count in the carry, so that a step that is skipped or repeated would show."""
+    """Run a recurrence, in which a step that is skipped or repeated would show."""
 
     def step(h, inputs):
         x, time = inputs

@@ -6,6 +6,7 @@ Only the carry before each chunk is kept for the gradient, which evaluates the c
 
 from collections.abc import Callable
 from functools import partial
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
@@ -62,12 +63,11 @@ def _forward(evaluate, params, constants, carry, steps, longest):
 
 def _backward(evaluate, saved, gradients):
     params, constants, carries, steps, longest = saved
-    starts = _starts(steps)
 
     def run(gradient, inputs):
         total, of_carry = gradient
-        start, carry, of_outputs = inputs
-        chunk = _chunk(steps, start)
+        start, carry = inputs
+        chunk, of_outputs = _chunk(steps, start), _chunk(gradients, start, "fill")
         backward = jax.vjp(lambda p, c: evaluate(p, constants, c, chunk), params, carry)[1]
         of_params, of_carry = backward((of_carry, of_outputs))
         return jax.tree.map(jnp.add, total, of_params), of_carry
@@ -76,14 +76,9 @@ def _backward(evaluate, saved, gradients):
         evaluated = inputs[0] <= longest
         return jax.lax.cond(evaluated, run, lambda gradient, _: gradient, gradient, inputs), None
 
-    def split(x: Array) -> Array:
-        padding = [(0, len(starts) * _size(steps) - len(x))] + [(0, 0)] * (x.ndim - 1)
-        return jnp.pad(x, padding).reshape(len(starts), -1, *x.shape[1:])
-
     first = jax.tree.map(lambda x: x[0], carries)
     zeros = jax.tree.map(jnp.zeros_like, (params, first))
-    inputs = (starts, carries, jax.tree.map(split, gradients))
-    (of_params, of_carry), _ = jax.lax.scan(body, zeros, inputs, reverse=True)
+    (of_params, of_carry), _ = jax.lax.scan(body, zeros, (_starts(steps), carries), reverse=True)
     return of_params, None, of_carry, None, None
 
 
@@ -104,7 +99,9 @@ def _starts(steps: PyTree) -> Int[Array, " chunks"]:
     return jnp.arange(0, _length(steps), _size(steps))
 
 
-def _chunk(steps: PyTree, start: Int[Array, ""]) -> PyTree:
-    """Return the steps of a chunk. Padding repeats the last step."""
+def _chunk(
+    steps: PyTree, start: Int[Array, ""], padding: Literal["clip", "fill"] = "clip"
+) -> PyTree:
+    """Return the steps of a chunk. Padding repeats the last step, or is 0 with `fill`."""
     rows = start + jnp.arange(_size(steps))
-    return jax.tree.map(lambda x: jnp.take(x, rows, axis=0, mode="clip"), steps)
+    return jax.tree.map(lambda x: jnp.take(x, rows, 0, mode=padding, fill_value=0), steps)
