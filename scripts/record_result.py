@@ -23,7 +23,7 @@ from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
-from scripts.run_records import add_seeds, cut_seeds, of_each_seed, record_together, stopped
+from scripts.run_records import add_seeds, commits_of, cut_seeds, record_together, stopped
 
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
@@ -111,7 +111,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
-        ", ".join(f"`{commit[:7]}`" for commit in dict.fromkeys(of_each_seed(kept, "commit"))),
+        ", ".join(f"`{commit[:7]}`" for commit in commits_of(kept)),
         minutes(kept),
     ]
     return f"| {' | '.join(cells)} |"

@@ -2,7 +2,7 @@
 
 import json
 import re
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -13,7 +13,7 @@ from hmasd_jax.runs import metrics_log
 
 NUM_PARTS = 10
 """Equal parts of a run over which training metrics are averaged."""
-PER_SEED = ("values", "training_means", "wall_seconds")
+PER_SEED = ("values", "training_means", "wall_seconds", "later_commits")
 """Entries of a record with one item per seed."""
 NOT_MEANS = ("kind", "seed", "env_steps", "wall_seconds", "episodes", "env_steps_per_second")
 """Entries of a training record that are not metrics to average."""
@@ -29,14 +29,20 @@ def record(run: Path) -> dict[str, Any]:
     if not seeds or not (run / "run.json").is_file():
         raise ValueError(f"RUN must be the folder of a run, but {run} holds no run.json and seeds")
     about, config = (json.loads((run / f"{name}.json").read_text()) for name in ("run", "config"))
-    joined, *others = (_record_of_seed(run, seed) for seed in seeds)
+    later = {entry["commit"]: None for entry in about.get("resumed", [])}
+    later.pop(about.get("commit"), None)
+    joined, *others = (_record_of_seed(run, seed, [*later]) for seed in seeds)
     for seed, other in zip(seeds[1:], others):
         joined |= _join(joined, other, f"seed {seed} of {run}")
+    about = {name: value for name, value in about.items() if name != "resumed"}
     return {**about, "command": " ".join(about["command"]), "config": config, **joined}
 
 
-def _record_of_seed(run: Path, seed: int) -> dict[str, Any]:
-    """Return what a record has of one seed, as lists with one item."""
+def _record_of_seed(run: Path, seed: int, later_commits: list[str]) -> dict[str, Any]:
+    """Return what a record has of one seed, as lists with one item.
+
+    `later_commits` are those at which the run was resumed.
+    """
     records = metrics_log.read(run_folder.metrics_path(run, seed))
     evaluations = [entry for entry in records if entry["kind"] == "eval"]
     if not evaluations:
@@ -48,6 +54,7 @@ def _record_of_seed(run: Path, seed: int) -> dict[str, Any]:
         "values": [[round(entry[metric], 6) for entry in evaluations]],
         "training_means": [training_means(records)],
         "wall_seconds": [records[-1]["wall_seconds"]],
+        "later_commits": [later_commits],
     }
 
 
@@ -63,8 +70,7 @@ def record_together(runs: list[Path]) -> dict[str, Any]:
     first, *others = (record(run) for run in runs)
     if not others:
         return first
-    joined = {key: value for key, value in first.items() if key != "resumed"}
-    command = any_seed(first["command"])
+    joined, command = first, any_seed(first["command"])
     for run, other in zip(runs[1:], others):
         if (any_seed(other["command"]), other["commit"]) != (command, first["commit"]):
             raise ValueError(f"{run} must have the command and the commit of {runs[0]}")
@@ -119,7 +125,15 @@ def _join(first: dict[str, Any], second: dict[str, Any], name: str) -> dict[str,
             raise ValueError(
                 f"{name} was not evaluated at the steps of the others: finish all with --resume"
             )
-    return {"env_steps": steps, **{name: first[name] + second[name] for name in PER_SEED}}
+    return {
+        "env_steps": steps,
+        **{name: _per_seed(first, name) + _per_seed(second, name) for name in PER_SEED},
+    }
+
+
+def _per_seed(record: dict[str, Any], name: str) -> list[Any]:
+    """Return an entry with one item per seed. Earlier records have no `later_commits`."""
+    return record.get(name) or [[] for _ in record["values"]]
 
 
 def had_reward(record: dict[str, Any], seed: int) -> bool:
@@ -157,6 +171,12 @@ def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:
 def of_each_seed(record: dict[str, Any], name: str) -> list[Any]:
     """Return the commit or the processor (`name`) of each seed of a record."""
     return record.get(f"{name}s") or [record.get(name)] * len(record["values"])
+
+
+def commits_of(record: dict[str, Any]) -> list[str]:
+    """Return the commits that trained the seeds of a record, each once."""
+    later = chain.from_iterable(_per_seed(record, "later_commits"))
+    return [*dict.fromkeys([*of_each_seed(record, "commit"), *later])]
 
 
 def recorded_seeds(record: dict[str, Any]) -> list[int]:

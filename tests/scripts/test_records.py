@@ -195,6 +195,20 @@ def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
         run_records.add_seeds(first | {"command": "python y"}, seed_runs[1:])
 
 
+def test_a_record_names_the_commits_at_which_its_seeds_were_resumed(seed_runs):
+    about = json.loads((seed_runs[1] / "run.json").read_text())
+    resumed = [{"commit": commit, "command": ["python"]} for commit in ("abc", "def", "def")]
+    (seed_runs[1] / "run.json").write_text(json.dumps(about | {"resumed": resumed}))
+    kept = run_records.record_together(seed_runs)
+    assert "resumed" not in kept
+    assert kept["later_commits"] == [[], ["def"]]
+    assert run_records.commits_of(kept) == ["abc", "def"]
+    earlier = run_records.record_together(seed_runs[:1])
+    del earlier["later_commits"]
+    both = run_records.add_seeds(earlier, seed_runs[1:])
+    assert both["later_commits"] == [[], ["def"]]
+
+
 def test_a_sweep_and_single_seeds_train_the_same():
     record = {"command": "train seed_sweep --num-seeds 2 --run-dir x", "values": [[0.0], [1.0]]}
     assert run_records.recorded_seeds(record) == [0, 1]
