@@ -4,9 +4,10 @@ python scripts/skill_accuracy.py RUN OUT
 
 All agents hold one skill for whole episodes, and sample their actions. A new classifier of the form
 of q_d learns which skill it was from the observations of half of the episodes. OUT (JSON) gets one
-row per seed: the share of the steps of the other half at which it is right. Skills are held equally
-often, so chance is 1 / n_z. The accuracy of q_d in training is higher where the coordinator prefers
-a skill.
+row per seed: the share of the steps of the other half at which it is right, and that of its
+segments of k steps, the time for which the coordinator assigns a skill. Another classifier judges a
+segment by the sum of what it says of its steps. Skills are held equally often, so chance is
+1 / n_z. The accuracy of q_d in training is higher where the coordinator prefers a skill.
 """
 
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 
 from hmasd_jax.analysis.episodes import play
@@ -23,19 +25,19 @@ from hmasd_jax.rl import moments
 from hmasd_jax.runs.load import TrainedRun, load_run
 from scripts.records import record_seeds
 
-EPISODES = 64
-"""Episodes per skill."""
-GRADIENT_STEPS = 2000
-BATCH = 512
+EPISODES = 256
+"""Episodes per skill. With 64 a classifier learned its own by heart."""
+GRADIENT_STEPS = 4000
+BATCH = 128
 CLIP = 5.0
 """Bound of standardized features."""
 
 
-def collect(trained: TrainedRun, key: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """Play with each skill in turn.
+def collect(trained: TrainedRun, key: jax.Array) -> tuple[np.ndarray, np.ndarray]:
+    """Play with each of n skills in turn.
 
     Returns:
-        Observations (n, episodes, T * N, obs), whether they count, and the skills held (n,).
+        Observations after each step (n, episodes, T, N, obs), and whether they count.
     """
     env, config = trained.env, trained.config.algorithm
     counts = config.num_team_skills, config.num_skills
@@ -45,66 +47,86 @@ def collect(trained: TrainedRun, key: jax.Array) -> tuple[jax.Array, jax.Array, 
         policy = trained.algorithm.policy(trained.state, False, allowed=allowed)
         played = play(env, policy, keys)
         obs = played.timesteps.obs[:, 1:]
-        counted = jnp.broadcast_to(played.counted[..., None], obs.shape[:-1])
-        return obs.reshape(len(keys), -1, env.obs_dim), counted.reshape(len(keys), -1)
+        return obs, jnp.broadcast_to(played.counted[..., None], obs.shape[:-1])
 
-    skills = jnp.arange(config.num_skills)
     held = [Condition("held", "individual", z) for z in range(config.num_skills)]
     allowed = [jnp.asarray(allowed_skills(z, *counts, env.num_agents)) for z in held]
     keys = jax.random.split(key, (len(held), EPISODES))
-    obs, counted = zip(*(hold(*x) for x in zip(allowed, keys)))
-    return jnp.stack(obs), jnp.stack(counted), skills
+    obs, counted = zip(*(jax.device_get(hold(*x)) for x in zip(allowed, keys)))
+    return np.stack(obs), np.stack(counted)
 
 
-def classify(
-    obs: jax.Array, counted: jax.Array, skills: jax.Array, hidden_size: int, key: jax.Array
-) -> float:
-    """Train on the first half of the episodes, and return the accuracy on the other half."""
+def cut(x: np.ndarray, length: int) -> np.ndarray:
+    """Cut (n, episodes, T, N, ...) into segments (n, episodes, segments, `length`, ...).
+
+    A rest of T that is shorter than a segment is left out.
+    """
+    skills, episodes, steps, agents, *inner = x.shape
+    x = x[:, :, : steps // length * length]
+    x = x.reshape(skills, episodes, -1, length, agents, *inner).swapaxes(3, 4)
+    return x.reshape(skills, episodes, -1, length, *inner)
+
+
+def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Array) -> float:
+    """Train on the first half of the episodes, and return the accuracy on the other half.
+
+    Args:
+        obs: Segments (n, episodes, segments, L, obs), as of `cut`.
+        counted: Whether a step counts. A segment counts if one of its steps does.
+        hidden_size: Units of the classifier's layers.
+        key: PRNG key.
+    """
     half = obs.shape[1] // 2
-    labels = jnp.broadcast_to(skills[:, None, None], counted.shape)
+    skills = np.broadcast_to(np.arange(len(obs))[:, None, None], counted.shape[:3])
 
-    def select(episodes: slice) -> tuple[jax.Array, jax.Array]:
-        """Return the steps that count, and their skills."""
-        counts = counted[:, episodes]
-        return obs[:, episodes][counts], labels[:, episodes][counts]
+    def select(episodes: slice) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Return the segments that count, which of their steps do, and their skills."""
+        counts = counted[:, episodes].any(-1)
+        arrays = (x[:, episodes][counts] for x in (obs, counted, skills))
+        return tuple(map(jnp.asarray, arrays))
 
-    (train_x, train_y), (test_x, test_y) = select(slice(half)), select(slice(half, None))
-    scale = moments.update(moments.Moments.create(obs.shape[-1]), train_x)
-    network = Classifier(len(skills), hidden_size)
+    train, test = select(slice(half)), select(slice(half, None))
+    scale = moments.update(moments.Moments.create(obs.shape[-1]), train[0][train[1]])
+    network = Classifier(len(obs), hidden_size)
     key, key_init = jax.random.split(key)
-    params = network.init(key_init, train_x[:1])
+    params = network.init(key_init, train[0][:1])
     optimizer = optax.adam(1e-3)
 
-    def log_probs(params, x):
-        return jnp.asarray(network.apply(params, moments.standardize(scale, x, CLIP)))
+    def log_probs(params, obs, counted):
+        each = jnp.asarray(network.apply(params, moments.standardize(scale, obs, CLIP)))
+        return jax.nn.log_softmax(jnp.sum(each, axis=-2, where=counted[..., None]))
 
-    def loss_fn(params, x, y):
-        return -jnp.take_along_axis(log_probs(params, x), y[:, None], 1).mean()
+    def loss_fn(params, obs, counted, skill):
+        return -jnp.take_along_axis(log_probs(params, obs, counted), skill[:, None], 1).mean()
 
     def step(carry, key):
         params, opt_state = carry
-        pick = jax.random.randint(key, (BATCH,), 0, len(train_y))
-        gradient = jax.grad(loss_fn)(params, train_x[pick], train_y[pick])
+        pick = jax.random.randint(key, (BATCH,), 0, len(train[0]))
+        gradient = jax.grad(loss_fn)(params, *(x[pick] for x in train))
         updates, opt_state = optimizer.update(gradient, opt_state)
         return (optax.apply_updates(params, updates), opt_state), None
 
     carry = params, optimizer.init(params)
     keys = jax.random.split(key, GRADIENT_STEPS)
     (params, _), _ = jax.jit(lambda c: jax.lax.scan(step, c, keys))(carry)
-    right = log_probs(params, test_x).argmax(-1) == test_y
-    return float(right.mean())
+    *inputs, skill = test
+    return float((jax.jit(log_probs)(params, *inputs).argmax(-1) == skill).mean())
 
 
 def measure(run: Path, seed: int) -> dict[str, Any]:
     """Return the accuracy for one seed."""
     trained = load_run(run, seed)
+    config = trained.config.algorithm
     key_play, key_learn = jax.random.split(jax.random.key(0))
-    hidden_size = trained.config.algorithm.ppo.hidden_size
-    accuracy = classify(*collect(trained, key_play), hidden_size, key_learn)
-    chance = 1 / trained.config.algorithm.num_skills
+    played = collect(trained, key_play)
+
+    def accuracy(length: int) -> float:
+        segments = (cut(x, length) for x in played)
+        return round(classify(*segments, config.ppo.hidden_size, key_learn), 3)
+
     return {
-        "seed": seed, "env_steps": trained.env_steps, "accuracy": round(accuracy, 3),
-        "chance": chance,
+        "seed": seed, "env_steps": trained.env_steps, "chance": 1 / config.num_skills,
+        "accuracy": accuracy(1), "segment_accuracy": accuracy(config.skill_interval),
     }  # fmt: skip
 
 
