@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hmasd_jax.exploration.frontier import Frontier
+from hmasd_jax.exploration.frontier import Frontier, per_episode
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
 from scripts.records import describe_script, write_rows
@@ -23,7 +23,7 @@ def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]
     """Return a row per direction and bin of one feature of the state."""
     num_bins = frontier.reached.shape[-1]
     ends = np.linspace(float(frontier.low[feature]), float(frontier.high[feature]), num_bins + 1)
-    recent = np.asarray(frontier.reached[:, feature]) / float(frontier.episodes)
+    recent = per_episode(frontier.reached[:, feature], frontier.episodes.sum())
     largest = np.asarray(frontier.mastered[:, feature])
     return [
         {

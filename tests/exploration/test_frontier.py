@@ -107,7 +107,7 @@ def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
-    frontier, _ = reach(empty._replace(episodes=jnp.float32(0)), outcome)
+    frontier, _ = reach(empty._replace(episodes=jnp.zeros(NUM_ENVS)), outcome)
     assert_allclose(frontier.mastered[RISES, 0], [0.0, 0.25, 0.25, 0.25])
     assert_allclose(frontier.mastered[FALLS], 0.0)
 
