@@ -1,6 +1,7 @@
 """EITI and EDTI: exact replay, agents that learn alone, values of interaction, a solved probe."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import chex
@@ -11,6 +12,7 @@ import pytest
 
 import envs_jax
 from envs_jax.alice_and_bob import AliceAndBob
+from hmasd_jax import config as configs
 from hmasd_jax.baselines.eiti import algorithm, critics
 from hmasd_jax.baselines.eiti.algorithm import make_edti, make_eiti
 from hmasd_jax.baselines.eiti.config import EDTIConfig, EITIConfig, LocalStateConfig
@@ -23,6 +25,8 @@ from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import EnvCarry, Learner
 from hmasd_jax.validation import ConfigError
 from tests.helpers.algorithms import assert_no_key_is_used_twice
+
+PRESETS = Path(__file__).parents[3] / "configs" / "overcooked" / "cramped_room"
 
 ENV = AliceAndBob(max_steps=7)  # episodes end inside sequences of 5 steps
 PPO = PPOConfig(
@@ -215,3 +219,17 @@ def test_bad_input_is_one_clear_error():
             EITIConfig(**fields)
     with pytest.raises(ValueError, match="curiosity_value_coef must be at least 0"):
         EDTIConfig(curiosity_value_coef=-0.1)
+
+
+@pytest.mark.parametrize("name", ["eiti", "edti"])
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ({"sequence_length": 7}, "algorithm.ppo.rollout_length 400 is not a multiple of"),
+        ({"num_minibatches": 7}, "algorithm.ppo.num_minibatches 7 does not divide"),
+    ],
+)
+def test_parts_of_sequences_are_refused(name, setting, message):
+    overrides = {f"algorithm.ppo.{key}": value for key, value in setting.items()}
+    with pytest.raises(ConfigError, match=message):
+        configs.load(PRESETS / f"{name}.toml", overrides)

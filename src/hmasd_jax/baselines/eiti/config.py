@@ -45,6 +45,7 @@ class InfluenceConfig:
 
     def __post_init__(self) -> None:
         check_range(self, "entropy_coef", "curiosity_coef", low=0)
+        self.ppo.check_sequences()
 
 
 @dataclass(frozen=True)
