@@ -16,7 +16,7 @@ from jaxtyping import Array, Key
 
 from envs_jax import Environment
 from envs_jax.micro_battle.observations import FIRST_ATTACK
-from hmasd_jax.rl.evaluate import play
+from hmasd_jax.rl.evaluate import first_episode, play
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import TrainedRun, load_run
 from hmasd_jax.types import Policy, Transition
@@ -35,7 +35,7 @@ def measure_skill(trained: TrainedRun, skill: int) -> dict[str, Any]:
 
 
 def play_battles(env: Environment, policy: Policy, key: Key[Array, ""]) -> Transition:
-    """Play in `COPIES` copies for the time limit of one battle; a copy restarts when it is done.
+    """Play a whole battle in each of `COPIES` copies. A copy whose battle ends begins another.
 
     Returns:
         NumPy arrays of shape (max_steps, COPIES, ...).
@@ -45,20 +45,23 @@ def play_battles(env: Environment, policy: Policy, key: Key[Array, ""]) -> Trans
 
 
 def summarize(battles: Transition, num_enemies: int) -> dict[str, Any]:
-    """Return the shares of actions and the means over the battles that ended.
+    """Return the shares of actions and the means over the first battle of each copy.
+
+    Later ones would count short battles more often: only those end before the last step.
 
     Args:
         battles: arrays of shape (T, E, ...), as `play_battles` returns them.
         num_enemies: enemies at the start of a battle.
     """
     mask, action = battles.timestep.action_mask, battles.action
-    alive, armed = ~mask[..., 0], mask[..., FIRST_ATTACK:].any(-1)
-    over = battles.outcome.done
+    counted = np.asarray(first_episode(battles))
+    over = counted & battles.outcome.done
+    alive, armed = ~mask[..., 0] & counted[..., None], mask[..., FIRST_ATTACK:].any(-1)
     return {
         "episodes": int(over.sum()),
         "wins": float(battles.outcome.info["success"][over].mean()),
         "enemies_killed": float(num_enemies - battles.outcome.info["enemies_alive"][over].mean()),
-        "episode_length": float(over.size / over.sum()),
+        "episode_length": float(counted.sum() / over.sum()),
         "share_in_range": float((armed & alive).sum() / alive.sum()),
         "out_of_range": action_shares(action[alive & ~armed]),
         "in_range": action_shares(action[alive & armed]),

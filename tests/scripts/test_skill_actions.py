@@ -35,6 +35,20 @@ def test_summary_counts_each_living_agent_once(battles):
         assert sum(shares.values()) == pytest.approx(1, abs=0.004)  # each share has three digits
 
 
+def test_each_copy_counts_with_its_first_battle(battles):
+    """A copy that wins after two steps counts once, as one that loses at the end does."""
+    done = np.zeros_like(battles.outcome.done)
+    done[1::2, 0] = done[-1] = True
+    success = np.zeros(done.shape)
+    success[:, 0] = 1
+    info = battles.outcome.info | {"success": success}
+    outcome = battles.outcome._replace(terminated=done, truncated=done & False, info=info)
+    row = skill_actions.summarize(battles._replace(outcome=outcome), num_enemies=1)
+    assert row["episodes"] == COPIES
+    assert row["wins"] == 1 / COPIES
+    assert row["episode_length"] == (2 + STEPS * (COPIES - 1)) / COPIES
+
+
 def test_action_shares_by_hand():
     shares = skill_actions.action_shares(np.array([1, 1, 2, 6, 7, 8, 8, 8]))
     assert shares == {
