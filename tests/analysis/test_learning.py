@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from hmasd_jax.analysis import learning
+from hmasd_jax.cli import summary as cli_summary
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path
+from hmasd_jax.search import score as search_score
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -31,12 +33,24 @@ def test_scores_leave_out_the_untrained_policy(run):
     records = learning.read_records(run)
     learned = learning.summarize(records, "success", 0.9)
     assert learned.seeds == 3
-    assert learned.last == 2  # The third seed has only two evaluations after step 0.
-    assert learned.mean.value == pytest.approx(np.mean([1.0, 0.75, 0.0]))
-    assert learned.solved.value == pytest.approx(1 / 3)
+    assert learned.last == 3
+    assert learned.mean.value == pytest.approx(np.mean([2.5 / 3, 0.5, 0.0]))
+    assert learned.solved.value == 0
+    learned = learning.summarize(records, "success", 0.9, last=1)
+    assert learned.mean.value == pytest.approx(np.mean([1.0, 1.0, 0.0]))
+    assert learned.solved.value == pytest.approx(2 / 3)
     assert learned.reached == [(200, 1.0), (300, 1.0)]
     assert learning.main_metric(learning.bands(records, "eval")) == "success"
     assert learning.main_metric(["return", "length"]) == "return"
+
+
+def test_a_run_has_the_same_scores_everywhere(run):
+    """A seed that has fewer evaluations than others counts with those it has."""
+    learned = learning.summarize(learning.read_records(run), "success", 0.9)
+    summary = cli_summary.over_seeds({str(i): cli_summary.summarize(run, i) for i in range(3)})
+    score = list(search_score.scores_so_far([[0.5, 1, 1], [0, 0.5, 1], [0, 0, 0]], 3, 3, 5))[-1][1]
+    assert learned.mean.value == pytest.approx(summary["last_evaluations_mean"])
+    assert learned.mean.value == pytest.approx(score)
 
 
 def test_before_the_first_evaluation_there_is_nothing_to_say(tmp_path):

@@ -19,6 +19,7 @@ from hmasd_jax.analysis.statistics import (
     estimate_mean,
     interquartile_mean,
     mean_interval,
+    seed_score,
 )
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path, read_config, seeds_of
@@ -58,7 +59,7 @@ class Learned(NamedTuple):
     metric: str
     seeds: int
     last: int
-    """Number of evaluations in a seed's score, at most `LAST`."""
+    """Number of evaluations in a seed's score. A seed that has fewer counts with all of them."""
     mean: Estimate
     iqm: Estimate
     """Interquartile mean."""
@@ -129,13 +130,12 @@ def summarize(
     evaluations = [rows for rows in evaluations if rows]
     if not evaluations:
         return None
-    last = min(last, *(len(rows) for rows in evaluations))
-    scores = np.array([np.mean([row[metric] for row in rows[-last:]]) for rows in evaluations])
+    scores = np.array([seed_score([row[metric] for row in rows], last) for rows in evaluations])
     firsts = (next((r for r in rows if r[metric] >= solved_at), None) for rows in evaluations)
     return Learned(
         metric=metric,
         seeds=len(scores),
-        last=last,
+        last=min(last, max(map(len, evaluations))),
         mean=estimate_mean(scores),
         iqm=estimate([scores], lambda groups: interquartile_mean(groups[0])),
         threshold=solved_at,

@@ -153,6 +153,16 @@ def mean_interval(values: ArrayLike, seed: int = 0) -> tuple[Array, Array]:
     return bootstrap_interval([values], lambda groups: groups[0].mean(axis=0), rng)
 
 
+def seed_score(evaluations: Sequence[float], last: int) -> float:
+    """Return the score of one seed: the mean of its `last` evaluations, of all if it has fewer.
+
+    Args:
+        evaluations: At least one, without that of the untrained policy.
+        last: Number of evaluations to average.
+    """
+    return float(np.mean(evaluations[-last:]))
+
+
 def last_evaluations(values: Iterable[ArrayLike], count: int) -> Array:
     """Return one score per seed, the mean of its last `count` evaluations.
 

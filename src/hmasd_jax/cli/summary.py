@@ -11,7 +11,7 @@ from rich.table import Table
 from envs_jax.optional import MissingPackageError
 from hmasd_jax.analysis.curves import plot_runs
 from hmasd_jax.analysis.learning import LAST, main_metric
-from hmasd_jax.analysis.statistics import few_seeds
+from hmasd_jax.analysis.statistics import few_seeds, seed_score
 from hmasd_jax.config import ConfigError, read_table, subtable
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import LOCK, exclusive, metrics_path, seeds_of, write_json
@@ -61,15 +61,14 @@ def summarize(run: Path, index: int) -> dict[str, Any]:
     values = [record[metric] for record in evaluations if metric in record]
     if not values:
         return {}
-    trained = [r[metric] for r in evaluations if metric in r and r["env_steps"] > 0]
-    last = trained[-LAST:] or values
+    trained = [r[metric] for r in evaluations if metric in r and r["env_steps"] > 0] or values
     return {
         "env_steps": records[-1]["env_steps"],
         "wall_seconds": records[-1]["wall_seconds"],
         "metric": metric,
         "final": values[-1],
-        "last_evaluations": float(np.mean(last)),
-        "num_averaged": len(last),
+        "last_evaluations": seed_score(trained, LAST),
+        "num_averaged": min(LAST, len(trained)),
         "best": max(values),
     }
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hmasd_jax.analysis.learning import main_metric
+from hmasd_jax.analysis.statistics import seed_score
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import metrics_path
 
@@ -49,11 +50,11 @@ def scores_so_far(
         evaluations of the last group, it is the score of the trial.
     """
     for index, first in enumerate(range(0, len(evaluations), at_once)):
-        done = [np.mean(seed[-last:]) for seed in evaluations[:first]]
+        done = [seed_score(seed, last) for seed in evaluations[:first]]
         group = evaluations[first : first + at_once]
         reached = min(map(len, group))
         for number in range(1, reached + 1):
-            own = [np.mean(seed[max(number - last, 0) : number]) for seed in group]
+            own = [seed_score(seed[:number], last) for seed in group]
             yield index * total + number, float(np.mean(done + own))
         if reached < total:
             return
