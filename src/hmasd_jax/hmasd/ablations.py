@@ -4,13 +4,13 @@ The other three ablations are settings. NoTeam sets `num_team_skills = 1`, NoExR
 `extrinsic_coef = 0`, and NoInRew sets both intrinsic coefficients to 0.
 """
 
-from typing import ClassVar
-
 import jax.numpy as jnp
+from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import CoordinatorKind, HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator
+from hmasd_jax.networks.transformer import draw_in_turn
 from hmasd_jax.rl.categorical import mask_logits
 
 
@@ -33,10 +33,10 @@ class TeamOnlyCoordinator(Coordinator):
 class RandomCoordinator(Coordinator):
     """NoHigh: draw every skill uniformly, in evaluation too.
 
-    Only V_h learns, and nothing depends on it.
+    In the paper's ablation skills last for a whole episode. That takes two settings more:
+    `segment_clock = "episode"` and a `skill_interval` of the longest episode. Only V_h learns, and
+    nothing depends on it.
     """
-
-    always_samples: ClassVar[bool] = True
 
     def decode(
         self, encoded: Float[Array, "*batch tokens size"], skills: Int[Array, "*batch tokens"]
@@ -44,6 +44,12 @@ class RandomCoordinator(Coordinator):
         """Return the same logit for every legal skill."""
         legal = self.legal_skills(skills)
         return mask_logits(jnp.zeros((*encoded.shape[:-1], self.max_skills)), legal)
+
+    @nn.nowrap
+    def draw(self, decode, shape, key, greedy, allowed):
+        """Draw skills even where the most likely ones are asked for."""
+        del greedy
+        return draw_in_turn(decode, shape, key, greedy=False, allowed=allowed)
 
 
 COORDINATORS: dict[CoordinatorKind, type[Coordinator]] = {

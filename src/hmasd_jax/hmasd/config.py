@@ -63,7 +63,8 @@ class HMASDConfig:
     barely be told apart pay as much as skills that lead far apart."""
     coordinator: CoordinatorKind = "learned"
     """Kind of coordinator: the `learned` one; one that learns only the team skill, which every
-    agent then uses as its own (`team_only`, the ablation NoIndi); or chance (`random`, NoHigh)."""
+    agent then uses as its own (`team_only`, the ablation NoIndi); or chance (`random`; NoHigh also
+    keeps skills for a whole episode, with `segment_clock` and `skill_interval`)."""
     num_blocks: int = 1
     """Encoder blocks and decoder blocks of the coordinator."""
     num_heads: int = 1

@@ -4,14 +4,21 @@ Token 0 stands for the team (state s, team skill Z), token i for agent i (o^i, z
 skills, log-probabilities and values have these 1 + N tokens on their last axis.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
+from flax import linen as nn
 from jaxtyping import Array, Bool, Float, Int
 
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.recurrent import RELU_GAIN, apply, dense
-from hmasd_jax.networks.transformer import EncoderDecoder, Head, decoder_inputs, draw_in_turn
+from hmasd_jax.networks.transformer import (
+    Decode,
+    EncoderDecoder,
+    Head,
+    decoder_inputs,
+    draw_in_turn,
+)
 from hmasd_jax.rl.categorical import categorical, mask_logits
 from hmasd_jax.rl.ppo import ppo_loss
 from hmasd_jax.rl.value_norm import ValueNorm, normalize
@@ -54,9 +61,6 @@ class Coordinator(EncoderDecoder):
 
     num_team_skills: int
     num_skills: int
-
-    always_samples: ClassVar[bool] = False
-    """If True, sample skills even where the most likely ones are requested."""
 
     def setup(self) -> None:
         """Create the layers. Team and agents have separate embeddings."""
@@ -104,6 +108,18 @@ class Coordinator(EncoderDecoder):
         counts = jnp.array([self.num_team_skills] + [self.num_skills] * (skills.shape[-1] - 1))
         return jnp.arange(self.max_skills) < counts[:, None]
 
+    @nn.nowrap
+    def draw(
+        self,
+        decode: Decode,
+        shape: tuple[int, ...],
+        key: Key,
+        greedy: bool | Bool[Array, "*batch"],
+        allowed: Bool[Array, "tokens skills"] | None,
+    ) -> tuple[Int[Array, "*batch tokens"], Float[Array, "*batch tokens"]]:
+        """Draw the skills of all tokens and their log-probabilities, as in `draw_in_turn`."""
+        return draw_in_turn(decode, shape, key, greedy, allowed)
+
 
 def assign(
     network: Coordinator,
@@ -131,8 +147,7 @@ def assign(
         return apply(network, params, encoded, skills, method="decode")
 
     # Illegal skills have probability 0, so every draw is legal.
-    greedy = False if network.always_samples else greedy
-    skills, log_prob = draw_in_turn(decode, value.shape, key, greedy, allowed)
+    skills, log_prob = network.draw(decode, value.shape, key, greedy, allowed)
     return Assignment(skills=skills, log_prob=log_prob, value=value)
 
 

@@ -160,8 +160,12 @@ def decoder_inputs(
     return jax.nn.one_hot(inputs, num_choices + 1)
 
 
+Decode = Callable[[Int[Array, "*batch tokens"]], Float[Array, "*batch tokens choices"]]
+"""Maps choices to the logits of all tokens. Those of token i depend on choices 0..i-1 only."""
+
+
 def draw_in_turn(
-    decode: Callable[[Int[Array, "*batch tokens"]], Float[Array, "*batch tokens choices"]],
+    decode: Decode,
     shape: tuple[int, ...],
     key: Key,
     greedy: bool | Bool[Array, "*batch"] = False,
@@ -170,8 +174,7 @@ def draw_in_turn(
     """Choose for one token after another, each given the choices before it.
 
     Args:
-        decode: maps choices to the logits of all tokens. Those of token i depend on choices
-            0..i-1 only.
+        decode: logits of all tokens, given choices.
         shape: (*batch, tokens).
         key: PRNG key of the draws.
         greedy: where True, take the most likely choice instead of sampling.
