@@ -18,6 +18,7 @@ import numpy as np
 
 from hmasd_jax import config as configs
 from hmasd_jax.config.from_table import Text
+from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.runs.load import load_run
 from hmasd_jax.training.compiled import build_executable
 from hmasd_jax.types import Metrics
@@ -43,7 +44,7 @@ def continue_training(
     run_updates = build_executable(updates, state)
     rows = []
     for repetition in range(repetitions):
-        now = state._replace(key=jax.random.fold_in(state.key, repetition))
+        now = state._replace(key=key_beside(state.key, repetition))
         scores = defaultdict(list)
         for _ in range(num_updates // POOLED):
             now, pooled = run_updates(now)

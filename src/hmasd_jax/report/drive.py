@@ -69,10 +69,10 @@ class Driver:
         ):
             newest = load_run(self._run, self._seed)
             self._trained = self._trained._replace(state=newest.state, env_steps=newest.env_steps)
-        self._key = jax.random.key(self._episode_number)
+        key_reset, self._key = jax.random.split(jax.random.key(self._episode_number))
         self._episode_number += 1
         policy = self._trained.algorithm.policy(self._trained.state, True)
-        self._loop = start(self._env, policy, self._key[None])
+        self._loop = start(self._env, policy, key_reset[None])
         self.time, self.total, self.over = 0, 0.0, False
         self.chosen: tuple[int | None, ...] = (None,) * self.num_tokens
         self.last: NDArray[np.integer] | None = None
