@@ -39,8 +39,9 @@ class ImitationConfig:
     """Most sequences stored per rollout, drawn in proportion to the reward that follows them."""
     greedy_copies: int = 0
     """Copies of the environment that take the most likely actions and skills in training. They fill
-    the buffer, if there is one, and train the critics. The policy gradient takes only their worst
-    actions, once play that samples succeeds (`greedy_copies.blame_greedy`)."""
+    the buffer, if there is one, and train the critic of the actions. The coordinator learns nothing
+    from them. The policy gradient of the actions takes only their worst ones, once play that
+    samples succeeds (`greedy_copies.blame_greedy`)."""
 
     @property
     def steps_per_update(self) -> int:

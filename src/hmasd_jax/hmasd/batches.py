@@ -20,7 +20,7 @@ from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.hmasd.rollout_phase import Rollout
 from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
 from hmasd_jax.networks.recurrent import apply
-from hmasd_jax.rl.gae import gae, normalize_advantage, rollout_advantage
+from hmasd_jax.rl.gae import gae, normalize_advantage, rollout_advantage, values_after
 from hmasd_jax.rl.rollout import flatten, following
 from hmasd_jax.rl.value_norm import ValueNorm, denormalize
 from hmasd_jax.types import Key
@@ -77,19 +77,20 @@ def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
     last = following(extras.renewed, jnp.ones_like(extras.renewed[0]))
     steps = jnp.where(last, jnp.arange(len(last))[:, None], len(last))
     end = jax.lax.cummin(steps, reverse=True)  # of the segment each step belongs to
-    next_value = following(extras.assignment.value, rollout.next_assignment.value)
-    terminated = outcome.done
-    if parts.config.ppo.bootstrap_truncation:
-        _, value = apply(parts.coordinator, params, outcome.state, outcome.obs, method="encode")
-        next_value = jnp.where(outcome.truncated[..., None], value, next_value)
-        terminated = outcome.terminated
+    next_value, terminated = values_after(
+        extras.assignment.value,
+        rollout.next_assignment.value,
+        outcome,
+        lambda: apply(parts.coordinator, params, outcome.state, outcome.obs, method="encode")[1],
+        parts.config.ppo,
+    )
     return Segments(
         state=transitions.timestep.state,
         obs=transitions.timestep.obs,
         assignment=extras.assignment,
         reward=high_level_reward(outcome.reward, last),
         next_value=_at(end, next_value),
-        terminated=_at(end, terminated),
+        terminated=_at(end, terminated[..., 0]),
         done=_at(end, outcome.done),
         begins=extras.renewed,
     )
@@ -144,9 +145,13 @@ def high_batch(
 
 
 def _choose(valid: Bool[Array, " n"], slots: int, key: Key) -> Array:
-    """Return indices of `slots` valid entries, each at most once unless there are too few."""
+    """Return indices of `slots` valid entries, each at most once unless there are too few.
+
+    Without any, one entry is repeated: skills that outlast a rollout may begin in none of its
+    steps. Only those drawn at random can, and they do not learn.
+    """
     shuffled = jnp.where(valid, jax.random.uniform(key, valid.shape), 2.0)
-    count = jnp.minimum(valid.sum(), slots)
+    count = jnp.clip(valid.sum(), 1, slots)
     return jnp.argsort(shuffled)[jnp.arange(slots) % count]
 
 

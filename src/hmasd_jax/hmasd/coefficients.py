@@ -63,8 +63,8 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
 def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
     """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
 
-    Normalized advantages have no scale. Where every episode succeeds they are noise, and Adam
-    follows it in steps of full length, until they change the assignments that the team needs.
+    The reason is that of `exploration.bonus.solved_step_factor`. The noise would change the
+    assignments that the team needs.
     """
     factor = parts.config.solved_step_factor
     if factor == 1:

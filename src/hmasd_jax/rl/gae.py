@@ -66,7 +66,7 @@ def rollout_advantage(
     value_of_outcome: Callable[[], Float[Array, "T E #N"]],
     norm: ValueNorm,
     config: PPOConfig,
-) -> tuple[Float[Array, "T E N"], Float[Array, "T E N"]]:
+) -> tuple[Float[Array, "T E #N"], Float[Array, "T E #N"]]:
     """Compute advantages and targets of every step of a rollout with `gae`.
 
     Args:

@@ -22,10 +22,10 @@ class Moments(NamedTuple):
         return cls(jnp.zeros(shape), jnp.ones(shape), jnp.float32(0))
 
 
-def update(moments: Moments, x: Float[Array, "*batch features"]) -> Moments:
+def update(moments: Moments, x: Float[Array, "..."]) -> Moments:
     """Merge the moments with those of a batch (Chan et al., 1979).
 
-    All axes of `x` that the moments lack are batch axes.
+    `x` has the shape (*batch, *features), and the moments have (*features).
     """
     batch = tuple(range(x.ndim - moments.mean.ndim))
     count = x.size / max(moments.mean.size, 1)
@@ -40,8 +40,8 @@ def update(moments: Moments, x: Float[Array, "*batch features"]) -> Moments:
 
 
 def standardize(
-    moments: Moments, x: Float[Array, "*batch features"], clip: float
-) -> Float[Array, "*batch features"]:
-    """Shift and scale to mean 0 and variance 1, and clip to [-clip, clip]."""
+    moments: Moments, x: Float[Array, "*batch_features"], clip: float
+) -> Float[Array, "*batch_features"]:
+    """Shift and scale (*batch, *features) to mean 0 and variance 1, and clip to [-clip, clip]."""
     scaled = (x - moments.mean) / jnp.sqrt(moments.variance + MIN_VARIANCE)
     return jnp.clip(scaled, -clip, clip)

@@ -162,7 +162,8 @@ def ppo_loss(
             entries, like on-policy's scripts for SMAC: the dead still share the team's return.
 
     Returns:
-        The loss, and its parts with the usual diagnostics (means over all axes).
+        The loss, and its parts with the usual diagnostics: the largest |ratio - 1|, and means of
+        the others over all entries. Entries that are not `active` have a ratio of 1.
     """
     actor = policy_loss(log_prob, old_log_prob, advantage, config.clip_epsilon, active)
     critic = value_loss(value, old_value, target, config.clip_epsilon, config.huber_delta)
