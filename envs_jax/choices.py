@@ -46,18 +46,39 @@ def show(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:76]} ..."
 
 
-def suggest(word: Any, known: Iterable[Any]) -> str:
+def suggest(word: Any, known: Iterable[Any], inner: Iterable[str] = ()) -> str:
     """Return a hint that ends an error message about an unknown word.
 
     Args:
         word: The word that is not known.
         known: All words that are.
+        inner: Dotted names that are known, too, and are found by their last part.
 
     Returns:
-        " (did you mean X?)" if `word` begins or resembles a known word X, else " (known: ...)".
+        " (did you mean X?)" if a known word X is near to `word`, else " (known: ...)".
     """
     known = [str(k) for k in known]
-    word = str(word)[:200]  # Longer ones take long to compare and resemble nothing.
-    begins = [k for k in known if k.startswith(word)]
-    close = begins or difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    return f" (did you mean {close[0]}?)" if close else f" (known: {', '.join(known) or 'none'})"
+    names = {name: [name] for name in known}
+    for name in inner:
+        names.setdefault(name.rpartition(".")[2], []).append(name)
+    near = find_near(str(word)[:200], names)  # Longer ones take long to compare.
+    if near is None:
+        return f" (known: {', '.join(known) or 'none'})"
+    return f" (did you mean {' or '.join(names[near])}?)"
+
+
+def find_near(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word that is meant by another; None if none is near to it.
+
+    A word is the known one itself, its beginning, one of its parts (`seeds` for `num_seeds`), its
+    initials (`lr` for `learning_rate`), or like it.
+    """
+    known = list(known)
+    for is_near in (
+        lambda name: name == word,
+        lambda name: name.startswith(word),
+        lambda name: word in name.split("_") or word == "".join(p[:1] for p in name.split("_")),
+    ):
+        if near := next(filter(is_near, known), None):
+            return near
+    return next(iter(difflib.get_close_matches(word, known, n=1, cutoff=0.6)), None)

@@ -16,8 +16,8 @@ from tyro.conf import Positional
 
 from envs_jax.choices import suggest
 from hmasd_jax.cli.options import Options, RunOptions
-from hmasd_jax.config import ConfigError, TrainConfig, load
-from hmasd_jax.config.from_table import Flag, Text, from_table
+from hmasd_jax.config import RENAMED, ConfigError, TrainConfig, load
+from hmasd_jax.config.from_table import Flag, Text, from_table, list_names, show_name
 from hmasd_jax.runs.folder import read_config
 
 OptionsT = TypeVar("OptionsT", bound=Options)
@@ -103,14 +103,22 @@ def load_config(options: RunOptions, overrides: dict[str, Text]) -> TrainConfig:
     """Read the configuration that a command line asks for.
 
     Raises:
-        ConfigError: It cannot be read, or `--resume` comes without a folder.
+        ConfigError: It cannot be read, an option is unknown, or `--resume` comes without a folder.
         RunError: `--resume` does not name a run.
     """
     if options.resume and options.run_dir is None:
         raise ConfigError("--resume needs --run-dir, the folder of the run to continue")
+    settings = list_names(TrainConfig)
+    known = {n: value for n, value in overrides.items() if "." in n or n in {*settings, *RENAMED}}
     if options.resumed_run is not None and options.config is None:
-        return read_config(options.resumed_run, overrides)
-    return load(options.base, overrides)
+        config = read_config(options.resumed_run, known)
+    else:
+        config = load(options.base, known)
+    for name in overrides.keys() - known.keys():
+        names = [field.name for field in dataclasses.fields(options)] + settings
+        inner = [name for name in list_names(TrainConfig, vars(config)) if "." in name]
+        raise ConfigError(f"unknown option --{show_name(name)}{suggest(name, names, inner)}")
+    return config
 
 
 def drop_options(words: Sequence[str], *names: str) -> list[str]:

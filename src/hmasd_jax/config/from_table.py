@@ -46,8 +46,9 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
     hints = get_type_hints(cls)
     for key in table:
         if key not in fields:
-            named = key if str(key).isprintable() and len(key) < 80 else show(key)
-            raise ConfigError(f"unknown key {_join(path, named)}{suggest(key, fields)}")
+            inner = [_join(path, name) for name in list_names(cls, table) if "." in name]
+            named = _join(path, show_name(key))
+            raise ConfigError(f"unknown key {named}{suggest(key, fields, inner)}")
     for name, field in fields.items():
         required = field.default is field.default_factory is dataclasses.MISSING
         if required and name not in table:
@@ -59,6 +60,25 @@ def from_table(cls: type[T], table: Any, path: str = "") -> T:
         raise
     except ValueError as error:
         raise ConfigError(_join(path, str(error))) from error
+
+
+def list_names(cls: type, values: Mapping[str, Any] | None = None) -> list[str]:
+    """Return the dotted names of the fields of a dataclass, those of inner ones included.
+
+    The class of an inner one is that of its value, if `values` has it built, else the annotated.
+    """
+    kinds = get_type_hints(cls)
+    kinds |= {n: type(v) for n, v in (values or {}).items() if dataclasses.is_dataclass(v)}
+    names = []
+    for name in (field.name for field in dataclasses.fields(cls) if field.init):
+        inner = list_names(kinds[name]) if dataclasses.is_dataclass(kinds[name]) else []
+        names += [name, *(f"{name}.{part}" for part in inner)]
+    return names
+
+
+def show_name(name: Any) -> str:
+    """Return the name of a field as one short line for a message."""
+    return name if str(name).isprintable() and len(name) < 80 else show(name)
 
 
 def convert(value: Any, annotation: Any, path: str) -> Any:
