@@ -34,6 +34,8 @@ SHARE = 0.9
 """Part of the final level to reach."""
 LEARNED = 0.1
 """Part of the best seed's final level below which a seed has not learned."""
+LEAST = 0.05
+"""Success rate or return below which no seed has learned, so that the best may have not, either."""
 
 
 class Curve(NamedTuple):
@@ -81,7 +83,7 @@ def solve(name: str, curves: list[Curve]) -> Row:
 
 def have_learned(levels: Sequence[float]) -> list[bool]:
     """Return which seeds have learned, from the final level of each."""
-    return [level > 0 and level >= LEARNED * max(levels) for level in levels]
+    return [level >= max(LEARNED * max(levels), LEAST) for level in levels]
 
 
 def first_at_least(values: list[float], bound: float) -> int:

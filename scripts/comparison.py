@@ -14,7 +14,9 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from benchmarks.time_to_solve import have_learned
-from scripts.paper import TASKS, final_scores, summarize_record
+from hmasd_jax.analysis.learning import LAST
+from hmasd_jax.analysis.statistics import last_evaluations
+from scripts.paper import TASKS, summarize_record
 from scripts.records import RESULTS
 from scripts.result_settings import changed_settings
 from scripts.run_records import cut_seeds, recorded_seeds, stopped
@@ -100,7 +102,7 @@ def learned(system: str) -> str:
     count = total = 0
     for task in TASKS:
         if record := find_record(task, system):
-            seeds = have_learned(final_scores(record).tolist())
+            seeds = have_learned(last_evaluations(record["values"], LAST).tolist())
             count += sum(seeds)
             total += len(seeds)
     paper = PAPER_LEARNED.get(system)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import growth, maser, seeds, training, versions
-from benchmarks.time_to_solve import Curve, measured, recorded, solve
+from benchmarks.time_to_solve import Curve, have_learned, measured, recorded, solve
 from tests.helpers.runs import write_run
 
 ROOT = Path(__file__).parents[2]
@@ -51,6 +51,12 @@ def run_here(monkeypatch, capsys):
         return rows_in(capsys.readouterr().out)
 
     return run_here
+
+
+def test_seeds_that_have_learned():
+    assert have_learned([0.0, 0.05, 0.2, 1.0]) == [False, False, True, True]
+    assert have_learned([0.0, 0.004, 0.012]) == [False, False, False]
+    assert have_learned([20.0, 1.9]) == [True, False]
 
 
 def test_environments():
