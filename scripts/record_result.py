@@ -61,6 +61,7 @@ coordinator's |
 pays the step of a success, and counts an episode several times in a bin that was made of several |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
+| `_first` | earlier seeds of the row without it |
 | `_fresh` | the preset of the row without it, with seeds on which it was not tuned |
 | `_cpu` | the preset of the row without it at an earlier commit and on a CPU |
 | `_disc` | the preset of the row without it, since units start in a disc (commit cf92a6c) |
@@ -75,7 +76,8 @@ has changed since, or the command changes it. A table below names these settings
 
 Ours above, the paper's below. `python scripts/comparison.py` counts the seeds that are wanted and
 recorded, and with `--commands` prints what is left to run. A number marked * has other settings
-than today's preset. A seed has learned if it scores at least a tenth of the best of its cell.
+than today's preset. A seed has learned if it scores at least a tenth of the best of its
+cell, and at least 5 %.
 """
 COLUMNS = (
     "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit "
@@ -144,8 +146,16 @@ def commands(files: list[Path], kept: list[dict[str, Any]]) -> list[str]:
     return [
         line
         for command, names in rows.items()
-        for line in (f"    # {', '.join(names)}", f"    {command}")
+        for line in (f"    # {', '.join(names)}", f"    {shell(command)}")
     ]
+
+
+def shell(command: str) -> str:
+    """Return a command of several seeds, as in records, as a loop of a shell."""
+    each, several, seeds = command.partition(" --seed-index I for I = ")
+    if not several:
+        return command
+    return f"for I in {seeds.replace(',', ' ')}; do {each} --seed-index $I; done"
 
 
 def section(name: str, task: Task) -> str:

@@ -1,6 +1,7 @@
 """Records name the command, the run and the rows, and agree with the scripts that made them."""
 
 import json
+import re
 
 import pytest
 
@@ -13,7 +14,8 @@ from scripts import (
     run_records,
     tactics,
 )
-from scripts.paper import final_scores
+from scripts.paper import TASKS, final_scores, summarize_record
+from scripts.result_settings import changed_settings
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -216,9 +218,32 @@ def test_a_sweep_and_single_seeds_train_the_same():
     assert run_records.any_count(single) == run_records.any_count(record["command"])
 
 
+def test_commands_of_several_seeds_are_a_loop_of_a_shell():
+    command = "python -m hmasd_jax.train train --config x --seed-index I for I = 0,1"
+    loop = "for I in 0 1; do python -m hmasd_jax.train train --config x --seed-index $I; done"
+    assert record_result.shell(command) == loop
+    assert record_result.shell("python x") == "python x"
+
+
 def test_page_shows_what_was_recorded():
     assert record_result.PAGE.read_text() == record_result.page()
     assert record_result.README.read_text() == record_result.readme()
+
+
+def test_numbers_of_the_readme_are_those_of_the_records_that_they_link_to():
+    """A number is marked * where its record has other settings than today's preset."""
+    found = re.findall(
+        r"\[\**([\d.]+) ± ([\d.]+)\**\]\((results/([\w/]+)/\w+\.json)\)"
+        r"(?:, ([\d.]+))? at [^|]*?( \*)? \|",
+        record_result.README.read_text(),
+    )
+    assert len(found) == 21
+    for mean, std, path, task, worst, mark in found:
+        record = json.loads((records.ROOT / path).read_text())
+        final = summarize_record(record, TASKS[task])
+        assert (mean, std) == (f"{final['mean']:.1f}", f"{final['std']:.1f}"), path
+        assert worst in ("", f"{final['min']:.1f}"), path
+        assert bool(mark) == bool(changed_settings(record)), path
 
 
 def test_a_text_without_the_place_is_refused():
