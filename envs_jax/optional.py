@@ -25,5 +25,6 @@ def require(package: str, extra: str, purpose: str) -> ModuleType:
         if error.name != package:  # It is installed, but one of its dependencies is not.
             raise
         raise MissingPackageError(
-            f"{purpose} needs the package {package}: pip install 'hmasd-jax[{extra}]'"
+            f"{purpose} needs the package {package}: "
+            f"uv pip install -c constraints.txt -e '.[{extra}]'"
         ) from error

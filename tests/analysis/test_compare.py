@@ -1,11 +1,13 @@
 """`compare`: scores at the same env steps, known statistics, and one task only."""
 
+import json
+
 import numpy as np
 import pytest
 
 from hmasd_jax.analysis.compare import compare_runs
 from hmasd_jax.cli.main import main
-from hmasd_jax.runs.folder import RunError
+from hmasd_jax.runs.folder import RunError, metrics_path
 from tests.helpers.runs import write_run
 
 
@@ -82,3 +84,13 @@ def test_refuses_what_cannot_be_compared(runs, tmp_path):
         compare_runs(runs, metric="reward")
     with pytest.raises(RunError, match="is not a run folder"):
         compare_runs([tmp_path])
+
+
+def test_runs_that_were_evaluated_at_other_steps_are_told_by_their_steps(runs, tmp_path):
+    other = write_run(tmp_path / "other", [[0.0, 0.5, 1.0]])
+    path = metrics_path(other, 0)
+    records = [json.loads(line) for line in path.read_text().splitlines()]
+    shifted = [r | {"env_steps": r["env_steps"] + 7 * (r["env_steps"] > 0)} for r in records]
+    path.write_text("".join(json.dumps(record) + "\n" for record in shifted))
+    with pytest.raises(RunError, match=r"0 evaluations .* they begin at \[100, 107\]; train with"):
+        compare_runs([runs[0], other])

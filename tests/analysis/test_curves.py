@@ -122,7 +122,7 @@ def test_missing_package_names_the_command(run, tmp_path, monkeypatch):
     with pytest.raises(ImportError) as error:
         plot.plot_runs([run], tmp_path / "x.png")
     assert str(error.value) == (
-        "plotting needs the package matplotlib: pip install 'hmasd-jax[plots]'"
+        "plotting needs the package matplotlib: uv pip install -c constraints.txt -e '.[plots]'"
     )
     assert isinstance(error.value, MissingPackageError)
 

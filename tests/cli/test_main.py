@@ -135,7 +135,11 @@ MISTAKES = [
     (["evaluate", "none"], "none is not a run folder"),
     (["evaluate", "none", "--episodes", "0"], "episodes must be at least 1, got 0"),
     (["evaluate", "none", "--epsodes", "5"], "unknown option --epsodes (did you mean episodes?)"),
-    (["render", "none"], "out is missing"),
+    (["render", "none"], "none is not a run folder"),
+    (
+        ["train", "--config", "configs/none/hmasd.toml"],
+        "cannot read config file configs/none/hmasd.toml: No such file",
+    ),
     (["render", "none", "--out", "x.gif", "--fps", "0"], "fps must be between 0.1 and 100, got 0"),
     (["render", "none", "--out", "x.gif", "--fps", "-5"], "fps must be between 0.1 and 100, got"),
     (["render", "none", "--out", "x.gif", "--fps", "1e9"], "fps must be between 0.1 and 100, got"),
@@ -171,7 +175,7 @@ def test_a_missing_optional_package_is_told_before_anything_starts(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert main(["train", f"--{extra}"]) == 2
-    assert f"pip install 'hmasd-jax[{extra}]'" in capsys.readouterr().err
+    assert f"uv pip install -c constraints.txt -e '.[{extra}]'" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
 
 
@@ -193,7 +197,9 @@ def without(monkeypatch):
 def test_a_report_tells_which_package_it_lacks(package, more, without, capsys, tmp_path):
     without(package)
     assert main(["report", str(tmp_path), *more]) == 2
-    remedy = f"a report needs the package {package}: pip install 'hmasd-jax[report]'"
+    remedy = (
+        f"a report needs the package {package}: uv pip install -c constraints.txt -e '.[report]'"
+    )
     assert capsys.readouterr().err == f"error: {remedy}\n"
 
 

@@ -120,7 +120,7 @@ def test_nothing_there(tmp_path, folder, template):
     assert checkpoint.latest_step(tmp_path / "no") is None
     with pytest.raises(CheckpointError, match=r"no checkpoint in .*/no: train first"):
         checkpoint.restore(tmp_path / "no", template, CONFIG)
-    with pytest.raises(CheckpointError, match=r"no checkpoint of step 5 in .*: there are 100, 200"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint of step 5 in .*, but of 100, 200"):
         checkpoint.restore(folder, template, CONFIG, step=5)
 
 

@@ -135,11 +135,11 @@ def test_algorithms_without_skills_hold_none(run):
 def test_errors_name_what_is_there(run, tmp_path):
     with pytest.raises(RunError, match="is not a run folder"):
         load_policy(tmp_path)
-    with pytest.raises(RunError, match="has no seed 5: there are 0, 1"):
+    with pytest.raises(RunError, match="has no seed 5, but 0, 1"):
         load_policy(run, seed=5)
     with pytest.raises(CheckpointError, match=r"no checkpoint in .*seed_1"):
         load_policy(run, seed=1)
-    with pytest.raises(CheckpointError, match=r"no checkpoint of step 60 in .*: there are 40, 80"):
+    with pytest.raises(CheckpointError, match=r"no checkpoint of step 60 in .*, but of 40, 80"):
         load_policy(run, step=60)
 
 

@@ -175,6 +175,10 @@ def test_another_configuration_is_refused_by_name(finished, capsys):
     message = capsys.readouterr().err
     assert "algorithm.scale (was 1.0, now 2.0), seed (was 0, now 5)" in message
     assert message.count("\n") == 1
+    small = ["--algorithm.ppo.num-envs", "1", "--algorithm.ppo.rollout-length", "10"]
+    assert main([*command, "--algorithm.name", "mat", *small]) == 2
+    message = capsys.readouterr().err
+    assert "algorithm.name (was toy, now mat); resume without" in message
     # the same value, said again, is no other configuration
     assert main([*command, "--algorithm.scale", "1"]) == 0
 

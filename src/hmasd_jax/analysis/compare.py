@@ -95,9 +95,15 @@ def compare_runs(
     steps, _ = common_steps([curve for seeds in curves for curve in seeds])
     steps = steps[steps > 0]  # The evaluation at step 0 is of the untrained policy.
     if len(steps) < last:
+        remedy = "wait for more, or ask for fewer with --last"
+        firsts = {int(own[own > 0][0]) for own, _ in map(common_steps, curves) if own.any()}
+        if not len(steps) and len(firsts) > 1:
+            remedy = (
+                f"they begin at {sorted(firsts)}; train with equal eval_interval, or see `plot`"
+            )
         raise RunError(
             f"the seeds of these runs have {len(steps)} evaluations of {metric} after step 0 in "
-            f"common, and a score needs {last}: wait for more, or ask for fewer with --last"
+            f"common, and a score needs {last}: {remedy}"
         )
     scores = []
     for seeds in curves:

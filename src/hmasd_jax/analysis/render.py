@@ -15,6 +15,7 @@ from envs_jax.declared import describe_agents, draw_states
 from envs_jax.optional import require
 from hmasd_jax.analysis.episodes import Episode, record
 from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
+from hmasd_jax.runs import durable
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import load_run, make_policy
 from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
@@ -182,7 +183,9 @@ def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if out.suffix == ".gif":
-            iio.imwrite(out, frames, duration=1000 / fps, loop=0)
+            # Encoded in memory, as imageio tells a failure to write again when it is collected.
+            gif = iio.imwrite("<bytes>", frames, extension=".gif", duration=1000 / fps, loop=0)
+            durable.replace(out, gif)
             return out
         with warnings.catch_warnings():
             # JAX warns of a fork, but here a fork only starts the encoder, another program.

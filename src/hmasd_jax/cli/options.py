@@ -219,7 +219,7 @@ class RenderOptions(Options):
 
     run: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder of a finished or running run."""
-    out: Path
+    out: Path = Path("episode.gif")
     """Animation to write, .gif or .mp4."""
     seed_index: int = 0
     """Index of the run's seed to draw. Its former name --seed still works."""

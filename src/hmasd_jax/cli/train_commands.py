@@ -178,6 +178,10 @@ def check_same(saved: TrainConfig, wanted: TrainConfig, run: Path) -> None:
             f"{run} has total_env_steps {saved.total_env_steps}, which can be raised but not "
             f"lowered to {wanted.total_env_steps}: resume without it, or choose another --run-dir"
         )
+    for kind in ("env.name", "algorithm.name"):
+        if old[kind] != new[kind]:  # All settings of the other one differ, too.
+            old, new = {kind: old[kind]}, {kind: new[kind]}
+            break
     if changes := name_differences(old, new):
         raise RunError(
             f"{run} has another configuration: {changes}; resume without these, or choose "

@@ -246,6 +246,10 @@ def read_table(path: Path) -> dict[str, Any]:
     parse = parse_json if path.suffix == ".json" else parse_toml
     try:
         table = parse(path.read_bytes())
+    except FileNotFoundError as error:
+        others = sorted(other.stem for other in path.parent.glob(f"*{path.suffix}"))
+        hint = suggest(path.stem, others) if others else ""
+        raise ConfigError(f"cannot read config file {path}: {error.strerror}{hint}") from error
     except OSError as error:
         raise ConfigError(f"cannot read config file {path}: {error.strerror}") from error
     except ValueError as error:  # Both parsers give line and column.

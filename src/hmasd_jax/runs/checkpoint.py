@@ -130,7 +130,7 @@ def restore(
     step = available[-1] if step is None else step
     if step not in available:
         known = ", ".join(str(s) for s in available)
-        raise CheckpointError(f"no checkpoint of step {step} in {folder}: there are {known}")
+        raise CheckpointError(f"no checkpoint of step {step} in {folder}, but of {known}")
     path = checkpoint_path(folder, step)
     try:
         return _read(path, template, config), step

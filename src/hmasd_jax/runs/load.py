@@ -45,7 +45,7 @@ def load_run(run: Path | str, seed: int = 0, step: int | None = None) -> Trained
     seeds = seeds_of(run)
     if seed not in seeds:
         known = ", ".join(map(str, seeds)) or "none yet"
-        raise RunError(f"{run} has no seed {seed}: there are {known}")
+        raise RunError(f"{run} has no seed {seed}, but {known}")
     env, algorithm = build(config)
     folder = checkpoint_folder(run, seed)
     state, env_steps = restore(folder, state_template(algorithm), to_json(config), step)

@@ -149,7 +149,7 @@ def check_loggers(loggers: tuple[str, ...]) -> None:
         if importlib.util.find_spec(packages[logger]) is None:
             raise ConfigError(
                 f"--{logger} needs the package {packages[logger]}, which is not installed: "
-                f"pip install 'hmasd-jax[{logger}]'"
+                f"uv pip install -c constraints.txt -e '.[{logger}]'"
             )
 
 

@@ -71,15 +71,18 @@ def test_options_that_a_constructor_looks_up_or_passes_on_are_known():
     [
         (
             lambda: envs_jax.make("jaxmarl", id="never_made"),
-            "id never_made needs the package jaxmarl: pip install 'hmasd-jax[compare]'",
+            "id never_made needs the package jaxmarl: "
+            "uv pip install -c constraints.txt -e '.[compare]'",
         ),
         (
             lambda: envs_jax.to_jaxmarl(AliceAndBob()),
-            "to_jaxmarl needs the package jaxmarl: pip install 'hmasd-jax[compare]'",
+            "to_jaxmarl needs the package jaxmarl: "
+            "uv pip install -c constraints.txt -e '.[compare]'",
         ),
         (
             lambda: envs_jax.to_pettingzoo(AliceAndBob()),
-            "to_pettingzoo needs the package pettingzoo: pip install 'hmasd-jax[pettingzoo]'",
+            "to_pettingzoo needs the package pettingzoo: "
+            "uv pip install -c constraints.txt -e '.[pettingzoo]'",
         ),
     ],
 )
@@ -93,4 +96,4 @@ def test_missing_package_error_names_the_remedy(call, message):
 def test_missing_package_is_a_config_error():
     with pytest.raises(ConfigError) as error:
         configs.load(None, {"env.name": "jaxmarl", "env.id": "never_made"})
-    assert str(error.value).startswith("env.id never_made needs the package jaxmarl: pip install")
+    assert str(error.value).startswith("env.id never_made needs the package jaxmarl: uv pip install")
