@@ -158,6 +158,12 @@ def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
     assert float(metrics["length"][0]) == last["length"]
     assert main(["evaluate", str(alone), "--sampled", "--episodes", "3"]) == 0
     assert "3 sampled episodes" in capsys.readouterr().out
+    earlier = checkpoint.steps(checkpoint_folder(alone, 1))[0]
+    assert earlier < 200
+    assert main(["evaluate", str(alone), "--step", str(earlier)]) == 0
+    assert f"│ {earlier} " in capsys.readouterr().out
+    assert main(["evaluate", str(alone), "--step", "7"]) == 1
+    assert "error: seed 1: no checkpoint of step 7 in " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("placement", ["workers", "vmap", "map", "sharded"])

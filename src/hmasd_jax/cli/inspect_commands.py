@@ -24,9 +24,10 @@ from hmasd_jax.types import Key, Metrics
 
 
 def evaluate_checkpoints(options: EvaluateOptions) -> int:
-    """Evaluate the newest checkpoint of every seed, print a table and return the exit code.
+    """Evaluate a checkpoint of every seed, print a table and return the exit code.
 
-    A damaged checkpoint is told after the others are evaluated, and the code is then 1.
+    A checkpoint that is damaged or absent is told after the others are evaluated, and the code is
+    then 1.
 
     With the run's own number of episodes and greedy policies, the numbers equal those of the run's
     evaluation at that step.
@@ -49,7 +50,7 @@ def evaluate_checkpoints(options: EvaluateOptions) -> int:
     rows, faults = [], []
     for index, folder in ready.items():
         try:
-            state, env_steps = checkpoint.restore(folder, template, to_json(config))
+            state, env_steps = checkpoint.restore(folder, template, to_json(config), options.step)
         except checkpoint.CheckpointError as error:
             faults.append(f"seed {index}: {error}")
             continue

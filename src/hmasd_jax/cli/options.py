@@ -205,6 +205,8 @@ class EvaluateOptions(Options):
     """Episodes per seed. The default is the number of the run's own evaluations."""
     sampled: bool = False
     """Sample skills and actions, as in training, instead of taking the most probable ones."""
+    step: int | None = None
+    """Environment steps of the checkpoints. The default is the newest of each seed."""
 
     def __post_init__(self) -> None:
         if self.episodes is not None:

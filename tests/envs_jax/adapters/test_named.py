@@ -96,4 +96,6 @@ def test_missing_package_error_names_the_remedy(call, message):
 def test_missing_package_is_a_config_error():
     with pytest.raises(ConfigError) as error:
         configs.load(None, {"env.name": "jaxmarl", "env.id": "never_made"})
-    assert str(error.value).startswith("env.id never_made needs the package jaxmarl: uv pip install")
+    assert str(error.value).startswith(
+        "env.id never_made needs the package jaxmarl: uv pip install"
+    )
