@@ -23,7 +23,14 @@ from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
-from scripts.run_records import add_seeds, commits_of, cut_seeds, record_together, stopped
+from scripts.run_records import (
+    add_seeds,
+    commits_of,
+    cut_seeds,
+    of_each_seed,
+    record_together,
+    stopped,
+)
 
 PAGE = ROOT / "docs" / "results.md"
 README = ROOT / "README.md"
@@ -121,10 +128,11 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
 
 def minutes(kept: dict[str, Any]) -> str:
     """Format the time of training, in which the seeds on a GPU train all at once."""
-    seconds = kept["wall_seconds"]
-    if kept["device"].startswith("gpu"):
-        return f"{max(seconds) / 60:.0f} (GPU)"
-    return f"{sum(seconds) / 60:.0f}"
+    cpu, gpu = [], []
+    for device, seconds in zip(of_each_seed(kept, "device"), kept["wall_seconds"]):
+        (gpu if device.startswith("gpu") else cpu).append(seconds)
+    times = [f"{sum(cpu) / 60:.0f}"] if cpu else []
+    return " + ".join([*times, f"{max(gpu) / 60:.0f} (GPU)"] if gpu else times)
 
 
 def differences(files: list[Path], kept: list[dict[str, Any]]) -> list[str]:

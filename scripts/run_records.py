@@ -83,7 +83,7 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
     """Return a record with the seeds of `runs` behind those of `earlier`.
 
     The runs may be of a later commit and of another processor, which rounds differently. The record
-    has `commits` and `cpus`, one per seed.
+    has `commits`, `cpus` and `devices`, one per seed.
 
     Raises:
         ValueError: a run cannot be recorded, has another command or other evaluations than
@@ -103,7 +103,7 @@ def add_seeds(earlier: dict[str, Any], runs: list[Path]) -> dict[str, Any]:
         "command": _name_seeds(command, new, [*seeds[0], *seeds[1]]),
         **{
             f"{name}s": of_each_seed(earlier, name) + of_each_seed(new, name)
-            for name in ("commit", "cpu")
+            for name in ("commit", "cpu", "device")
         },
     }
 
@@ -169,7 +169,7 @@ def _name_seeds(command: str, record: dict[str, Any], seeds: list[int]) -> str:
 
 
 def of_each_seed(record: dict[str, Any], name: str) -> list[Any]:
-    """Return the commit or the processor (`name`) of each seed of a record."""
+    """Return the commit, the processor or the device (`name`) of each seed of a record."""
     return record.get(f"{name}s") or [record.get(name)] * len(record["values"])
 
 

@@ -267,6 +267,9 @@ def test_tried_runs_are_added_and_replaced(run, tmp_path):
 
 
 def test_seeds_on_a_gpu_share_their_time():
-    assert record_result.minutes({"device": "cpu: cpu", "wall_seconds": [60.0, 120.0]}) == "3"
-    gpu = {"device": "gpu: NVIDIA H100", "wall_seconds": [119.0, 120.0]}
+    cpu = {"device": "cpu: cpu", "wall_seconds": [60.0, 120.0], "values": [[], []]}
+    assert record_result.minutes(cpu) == "3"
+    gpu = {"device": "gpu: NVIDIA H100", "wall_seconds": [119.0, 120.0], "values": [[], []]}
     assert record_result.minutes(gpu) == "2 (GPU)"
+    both = gpu | {"devices": ["gpu: NVIDIA H100", "cpu: cpu"]}
+    assert record_result.minutes(both) == "2 + 2 (GPU)"
