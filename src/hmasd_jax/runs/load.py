@@ -44,8 +44,8 @@ def load_run(run: Path | str, seed: int = 0, step: int | None = None) -> Trained
     config = read_config(run)
     seeds = seeds_of(run)
     if seed not in seeds:
-        known = ", ".join(map(str, seeds)) or "none yet"
-        raise RunError(f"{run} has no seed {seed}, but {known}")
+        known = ", ".join(map(str, seeds))
+        raise RunError(f"{run} has no seed {seed}" + (f", but {known}" if seeds else " yet"))
     env, algorithm = build(config)
     folder = checkpoint_folder(run, seed)
     state, env_steps = restore(folder, state_template(algorithm), to_json(config), step)
