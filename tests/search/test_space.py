@@ -2,7 +2,7 @@
 
 import pytest
 
-from hmasd_jax.cli.options import split_settings
+from hmasd_jax.cli.vary import split_settings
 from hmasd_jax.config import load
 from hmasd_jax.search.space import (
     Choices,

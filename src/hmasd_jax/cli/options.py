@@ -2,13 +2,14 @@
 
 import itertools
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar
 
 from tyro.conf import Positional, arg
 
+from hmasd_jax.cli.vary import split_settings
 from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
 
 
@@ -119,36 +120,6 @@ class GridOptions(RunOptions):
                     )
         names, values = zip(*settings)
         return [dict(zip(names, cell)) for cell in itertools.product(*values)]
-
-
-def split_settings(varied: Sequence[str]) -> list[tuple[str, list[str]]]:
-    """Return the dotted name and the values of each NAME=VALUE,VALUE.
-
-    Raises:
-        ConfigError: One is not of this form, or two name the same setting.
-    """
-    settings = [split_vary(vary) for vary in varied]
-    names = [name for name, _ in settings]
-    for name in names:
-        if names.count(name) > 1:
-            raise ConfigError(f"--vary names {name} twice: give all its values at once")
-    return settings
-
-
-def split_vary(vary: str) -> tuple[str, list[str]]:
-    """Return the dotted name and the values of NAME=VALUE,VALUE.
-
-    Raises:
-        ConfigError: `vary` is not of this form, or names a value twice.
-    """
-    name, equals, values = vary.partition("=")
-    found = [value.strip() for value in values.split(",")]
-    if not (name and equals and all(found)) or len(set(found)) < len(found):
-        raise ConfigError(
-            "--vary must name a setting and its values, each once, as in "
-            f"algorithm.skill_interval=5,10,25: got {vary!r}"
-        )
-    return name.strip().replace("-", "_"), found
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from rich.console import Console
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.cli import summary
 from hmasd_jax.cli.hints import suggest_next
-from hmasd_jax.cli.options import SweepOptions, TuneOptions, split_settings
+from hmasd_jax.cli.options import SweepOptions, TuneOptions
 from hmasd_jax.cli.train_commands import (
     FAILED,
     INTERRUPTED,
@@ -18,6 +18,7 @@ from hmasd_jax.cli.train_commands import (
     exit_code,
     run_seeds,
 )
+from hmasd_jax.cli.vary import split_settings
 from hmasd_jax.config import ConfigError, TrainConfig, build, change
 from hmasd_jax.runs.folder import is_run
 from hmasd_jax.runs.metrics_log import check_loggers
