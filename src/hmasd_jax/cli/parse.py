@@ -114,10 +114,11 @@ def load_config(options: RunOptions, overrides: dict[str, Text]) -> TrainConfig:
         config = read_config(options.resumed_run, known)
     else:
         config = load(options.base, known)
-    for name in overrides.keys() - known.keys():
+    if unknown := [name for name in overrides if name not in known]:
         names = [field.name for field in dataclasses.fields(options)] + settings
         inner = [name for name in list_names(TrainConfig, vars(config)) if "." in name]
-        raise ConfigError(f"unknown option --{show_name(name)}{suggest(name, names, inner)}")
+        hint = suggest(unknown[0], names, inner)
+        raise ConfigError(f"unknown option --{show_name(unknown[0])}{hint}")
     return config
 
 
