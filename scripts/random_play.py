@@ -31,11 +31,13 @@ class Task(NamedTuple):
     options: dict[str, str]
 
 
-TASKS = {
+TASKS = {"alice_and_bob": Task(1_000_000, "alice_and_bob", {})}
+TASKS |= {
     f"{layout} {rule}": Task(400_000, "overcooked", {"layout": layout, "start_cooking": rule})
     for layout in ("cramped_room", "asymmetric_advantages", "coordination_ring")
     for rule in ("interact", "auto")
-} | {
+}
+TASKS |= {
     f"{scenario} {balance}": Task(
         1_000_000, "micro_battle", {"scenario": scenario, "balance": balance}
     )
