@@ -1,7 +1,7 @@
 """Types that all algorithms share. NamedTuples hold arrays, frozen dataclasses hold settings.
 
-Axes, by name: T rollout steps, E environment copies, N agents, M = T / k segments,
-S sampled sequences, L steps of a sequence.
+Axes, by name: T rollout steps, E environment copies, N agents, S samples (sequences, or segments at
+the high level), L steps of a sequence.
 """
 
 from collections.abc import Callable

@@ -282,7 +282,7 @@ def test_odds_of_random_play():
     assert (env_state.time == 100).all()
     # Standard error sqrt(0.047 * 0.953 / 20000) = 0.15 %, plus 0.05 % for the rounded 4.7.
     assert abs(env_state.collected.any(1).mean() - 0.047) < 3 * 0.0015 + 0.0005
-    # Success has probability 0.026 %: 5 of 20000 expected, above 14 in one of 3000 such tests.
+    # Success has probability 0.024 %: 5 of 20000 expected, above 14 in one of 7000 such tests.
     assert terminated.any(0).sum() <= 14
 
 

@@ -115,11 +115,11 @@ COMMANDS = {
         _tune,
     ),
     "evaluate": Command(
-        "Play episodes with the newest checkpoint of every seed of a run.",
+        "Play episodes with a checkpoint of every seed of a run, by default the newest.",
         EvaluateOptions,
         _evaluate,
     ),
-    "render": Command("Draw an episode as a GIF.", RenderOptions, _render),
+    "render": Command("Draw episodes as a GIF or MP4.", RenderOptions, _render),
     "plot": Command("Plot learning curves of runs.", PlotOptions, _plot),
     "compare": Command(
         "Compare runs on one task: curves, and statistics over seeds with intervals.",

@@ -88,7 +88,8 @@ class HMASDConfig:
     become different ways to solve it. Needs the `frontier`, which counts the episodes that a reward
     ends. The paper has none."""
     solved_entropy_coef: float = 0.0
-    """Weight that the coordinator's entropy gains with it, so that all skills stay in use."""
+    """Weight that the coordinator's entropy gains once the team solves its task, so that all skills
+    stay in use. Needs the `frontier`. The paper has none."""
     sharpening: float = 0.0
     """Weight against the entropy of actions, per share of episodes that sampled play loses and
     greedy play wins, once the team solves its task. Needs the `frontier` and
