@@ -50,7 +50,7 @@ def test_records_whole_episodes(episode):
 
 
 def test_frames_show_team_skill_and_outcome(trained, episode):
-    frames = render.draw_episode(trained.env, episode, "episode 1/1", pause=4)
+    frames = render.draw_episodes(trained.env, [episode], ["episode 1/1"], pause=4)
     assert len(frames) == len(episode.env_states) + 4
     assert len({(frame.shape, frame.dtype) for frame in frames}) == 1
     height, width, channels = frames[0].shape
@@ -71,11 +71,11 @@ def test_failure_and_policies_without_skills(trained, episode):
     cut = episode._replace(
         env_states=episode.env_states[:6], skills=None, rewards=episode.rewards[:5], success=False
     )
-    frames = render.draw_episode(trained.env, cut)
+    frames = render.draw_episodes(trained.env, [cut], [""])
     colors = {tuple(pixel) for pixel in frames[-1].reshape(-1, 3)}
     assert color_of(drawing.LOST) in colors
     assert tuple(frames[0][0, 0]) == color_of(drawing.INK)
-    assert frames[0].shape[0] < render.draw_episode(trained.env, episode)[0].shape[0]
+    assert frames[0].shape[0] < render.draw_episodes(trained.env, [episode], [""])[0].shape[0]
 
 
 def test_many_agents_get_more_rows_and_small_pictures_are_enlarged():
@@ -110,10 +110,36 @@ def test_writes_a_gif(run, tmp_path):
     assert out.stat().st_size < 1_000_000
 
 
+def test_episodes_are_drawn_in_one_view(run, tmp_path, monkeypatch):
+    """Each call draws pictures that are as wide as the number of its states."""
+
+    def draw(env, states):
+        return [np.zeros((320, 320 + len(states), 3), np.uint8) for _ in states]
+
+    monkeypatch.setattr(render, "draw_states", draw)
+    out = render.render_run(run, tmp_path / "two.gif", episodes=2)
+    assert len({frame.shape for frame in iio.imread(out)}) == 1
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".mp4"])
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # imageio's own, when its writer goes
+def test_frames_with_more_rows_of_labels_fit_beside_others(trained, episode, suffix, tmp_path):
+    """Ten and more skills have wider labels, which can take one more row."""
+    pytest.importorskip("imageio_ffmpeg")
+    length = len(episode.rewards)
+    skills = np.where(np.arange(length)[:, None] < 9, 9, 10).repeat(3, 1)
+    frames = render.draw_episodes(trained.env, [episode._replace(skills=skills)], [""])
+    assert len({frame.shape for frame in frames}) == 2
+    written = render.write(tmp_path / f"episode{suffix}", frames, fps=5)
+    if suffix == ".gif":
+        heights = {frame.shape[0] for frame in frames}
+        assert iio.imread(written).shape[1] == max(heights)
+
+
 @pytest.mark.filterwarnings("ignore::ResourceWarning")  # imageio's own, when its writer goes
 def test_writes_a_video(episode, trained, tmp_path):
     pytest.importorskip("imageio_ffmpeg")
-    frames = render.draw_episode(trained.env, episode)[:4]
+    frames = render.draw_episodes(trained.env, [episode], [""])[:4]
     out = render.write(tmp_path / "episode.mp4", frames, fps=5)
     assert b"ftyp" in out.read_bytes()[:16]
 

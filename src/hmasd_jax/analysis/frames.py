@@ -97,6 +97,13 @@ def shrink(picture: np.ndarray, max_width: int | None) -> np.ndarray:
     return np.asarray(Image.fromarray(picture).resize(size, Image.Resampling.LANCZOS))
 
 
+def fill_up(frames: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Extend frames (height, width, 3) to one size, with white on the right and below."""
+    height, width = np.max([frame.shape[:2] for frame in frames], axis=0)
+    sizes = [((0, height - len(f)), (0, width - f.shape[1]), (0, 0)) for f in frames]
+    return [np.pad(f, size, constant_values=255) for f, size in zip(frames, sizes)]
+
+
 def _arrange(skills: np.ndarray | None, agents: Sequence[Agent], width: int) -> list[list[Chip]]:
     """Arrange the labels in rows, as many as fit in each row."""
     if skills is None:

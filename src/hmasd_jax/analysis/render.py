@@ -14,7 +14,7 @@ from envs_jax import Environment
 from envs_jax.declared import describe_agents, draw_states
 from envs_jax.optional import require
 from hmasd_jax.analysis.episodes import Episode, record
-from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, shrink
+from hmasd_jax.analysis.frames import INK, LOST, WON, draw_frame, fill_up, shrink
 from hmasd_jax.runs import durable
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.runs.load import load_run, make_policy
@@ -70,19 +70,26 @@ def render_run(
         skills = (team_skill, *[None] * trained.env.num_agents)
     policy = make_policy(trained, skills, greedy)
     keys = jax.random.split(jax.random.key(episode_seed), episodes)
-    frames: list[np.ndarray] = []
-    for number, episode in enumerate(record(trained.env, policy, keys)):
-        title = f"episode {number + 1}/{episodes}" if episodes > 1 else f"seed {seed}"
-        frames += draw_episode(trained.env, episode, title, pause=round(PAUSE * fps))
+    titles = [f"episode {i + 1}/{episodes}" for i in range(episodes)]
+    played = record(trained.env, policy, keys)
+    pause = round(PAUSE * fps)
+    frames = draw_episodes(trained.env, played, titles if episodes > 1 else [f"seed {seed}"], pause)
     return write(out, frames, fps)
 
 
-def draw_episode(
-    env: Environment, episode: Episode, title: str = "", pause: int = 0
+def draw_episodes(
+    env: Environment, episodes: Sequence[Episode], titles: Sequence[str], pause: int = 0
 ) -> list[np.ndarray]:
-    """Draw one frame (height, width, 3) per state, and repeat the last one `pause` times."""
-    (pictures,) = draw_pictures(env, [episode])
-    return add_captions(env, episode, pictures, title, pause)
+    """Draw a frame (height, width, 3) per state of each episode, and its last `pause` times more.
+
+    All episodes are drawn in one view.
+    """
+    drawn = zip(episodes, draw_pictures(env, episodes), titles)
+    return [
+        frame
+        for episode, pictures, title in drawn
+        for frame in add_captions(env, episode, pictures, title, pause)
+    ]
 
 
 def frame_times(episode: Episode, most: int | None = None) -> list[int]:
@@ -171,7 +178,10 @@ def check_fps(fps: float) -> None:
 
 
 def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
-    """Write an animation and return `out`. All frames must have the same, even size.
+    """Write an animation and return `out`. Sizes of frames must be even.
+
+    Frames that are smaller than others, with fewer rows of labels, are filled up on the right and
+    below.
 
     Raises:
         RunError: The format is not known, or the file cannot be written.
@@ -179,7 +189,7 @@ def write(out: Path, frames: Sequence[np.ndarray], fps: float) -> Path:
     import imageio.v3 as iio
 
     check_format(out)
-    out = Path(out)
+    out, frames = Path(out), fill_up(frames)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         if out.suffix == ".gif":
