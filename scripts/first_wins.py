@@ -23,16 +23,16 @@ TENTH = 0.1
 
 def measure(run: Path) -> Iterator[dict[str, Any]]:
     """Yield a row per seed of a run."""
-    curves = [read_curves(run, "train", metric) for metric in METRICS]
+    stored, won = (read_curves(run, "train", metric) for metric in METRICS)
     about = json.loads((run / "run.json").read_text())
-    for seed, stored, won in zip(seeds_of(run), *curves, strict=True):
+    for seed in seeds_of(run):
         yield {
             "command": " ".join(about["command"]),
             "commit": about["commit"],
             "seed": seed,
-            "first success": first_above(stored, 0.0),
-            "a tenth": first_above(won, TENTH),
-            "trained": int(won[0][-1]),
+            "first success": first_above(stored[seed], 0.0),
+            "a tenth": first_above(won[seed], TENTH),
+            "trained": int(won[seed][0][-1]),
         }
 
 

@@ -1,3 +1,4 @@
+import csv
 import json
 import sys
 from pathlib import Path
@@ -31,8 +32,8 @@ def test_draws_runs(run, tmp_path):
 
 def test_reads_whole_curves_and_their_common_steps(run):
     curves = plot.read_curves(run, "eval", "success")
-    assert [len(steps) for steps, _ in curves] == [4, 3]
-    steps, values = plot.common_steps(curves)
+    assert {seed: len(steps) for seed, (steps, _) in curves.items()} == {0: 4, 1: 3}
+    steps, values = plot.common_steps(list(curves.values()))
     np.testing.assert_array_equal(steps, [0, 100, 200])
     np.testing.assert_array_equal(values, [[0.0, 0.5, 0.75], [0.0, 0.25, 0.5]])
 
@@ -103,6 +104,28 @@ def test_labels_are_algorithms_only_if_they_differ(tmp_path):
     assert plot.labels_of(runs, [tables[0]] * 2) == ["a (1 seed)", "b (1 seed)"]
 
 
+def test_folders_of_one_name_are_told_apart_by_their_parents(tmp_path):
+    runs = [tmp_path / a / b / "trial_0" for a, b in (("x", "one"), ("x", "two"), ("y", "two"))]
+    for folder in runs:
+        (folder / "seed_0").mkdir(parents=True)
+    tables = [{"algorithm": {"name": "hmasd"}}] * 3
+    labels = [f"{a}/{b}/trial_0 (1 seed)" for a, b in (("x", "one"), ("x", "two"), ("y", "two"))]
+    assert plot.labels_of(runs, tables) == labels
+    assert plot.labels_of([runs[0], runs[0]], tables[:2]) == ["trial_0 (1 seed)"] * 2
+
+
+def test_runs_whose_names_begin_with_an_underscore_are_labeled_too(tmp_path):
+    runs = [write_run(tmp_path / name, [[0.0, 1.0]]) for name in ("_a", "_b")]
+    assert is_png(plot.plot_runs(runs, tmp_path / "curves.png"))
+
+
+def test_data_beside_a_figure_name_the_seeds_of_the_run(run, tmp_path):
+    (run / "seed_1").rename(run / "seed_7")
+    plot.plot_runs([run], tmp_path / "curves.png")
+    with (tmp_path / "curves.csv").open() as file:
+        assert {row["seed"] for row in csv.DictReader(file)} == {"0", "7"}
+
+
 def test_errors_are_one_line(run, tmp_path):
     out = tmp_path / "x.png"
     with pytest.raises(RunError, match=r"no evaluation of reward yet: there are length, success"):
@@ -132,7 +155,8 @@ def test_seeds_are_not_drawn_unless_asked_for():
 
     axes = Figure().add_subplot()
     curves = [(np.arange(2.0), np.array([0.0, 1.0]))] * 3
-    assert plot.draw_curves(axes, curves, "name") == (1.0, 1.0)
+    line = plot.draw_curves(axes, curves, "name")
+    assert line.get_xydata()[-1].tolist() == [1.0, 1.0]
     assert len(axes.lines) == 1
 
 

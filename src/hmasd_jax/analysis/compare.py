@@ -43,8 +43,8 @@ class Comparison(NamedTuple):
     """Name of the metric in the evaluations."""
     labels: list[str]
     """One label per run."""
-    curves: list[list[Curve]]
-    """For each run, one curve per seed."""
+    curves: list[dict[int, Curve]]
+    """For each run, the curve of each seed, by the index of the seed."""
     env_steps: int
     """Last step at which all seeds of all runs were evaluated. The scores are taken there."""
     scores: list[Array]
@@ -57,9 +57,9 @@ class Comparison(NamedTuple):
     def draw(self, out: Path, show_seeds: bool = False) -> Path:
         """Draw the curves with their intervals, write them as CSV beside it, and return `out`."""
         require("matplotlib", "plots", "plotting")
-        groups = list(zip(self.labels, self.curves))
+        groups = [(label, list(own.values())) for label, own in zip(self.labels, self.curves)]
         draw_groups(groups, self.task, self.metric, out, show_seeds)
-        write_csv(groups, self.metric, out)
+        write_csv(self.labels, self.curves, self.metric, out)
         return Path(out)
 
 
@@ -92,11 +92,12 @@ def compare_runs(
             raise RunError(
                 f"{run} is on another task than {runs[0]}: {table['env']}, not {tables[0]['env']}"
             )
-    steps, _ = common_steps([curve for seeds in curves for curve in seeds])
+    groups = [list(seeds.values()) for seeds in curves]
+    steps, _ = common_steps([curve for seeds in groups for curve in seeds])
     steps = steps[steps > 0]  # The evaluation at step 0 is of the untrained policy.
     if len(steps) < last:
         remedy = "wait for more, or ask for fewer with --last"
-        firsts = {int(own[own > 0][0]) for own, _ in map(common_steps, curves) if own.any()}
+        firsts = {int(own[own > 0][0]) for own, _ in map(common_steps, groups) if own.any()}
         if not len(steps) and len(firsts) > 1:
             remedy = (
                 f"they begin at {sorted(firsts)}; train with equal eval_interval, or see `plot`"
@@ -106,7 +107,7 @@ def compare_runs(
             f"common, and a score needs {last}: {remedy}"
         )
     scores = []
-    for seeds in curves:
+    for seeds in groups:
         own, values = common_steps(seeds)
         scores.append(last_evaluations(values[:, (own > 0) & (own <= steps[-1])], last))
     names = labels_of(runs, tables)

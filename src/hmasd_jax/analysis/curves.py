@@ -82,21 +82,22 @@ def plot_runs(
     metric = common_metric(runs) if metric is None else metric
     curves = [read_evaluations(run, metric) for run in runs]
     tables = [to_json(read_config(run)) for run in runs]
-    groups = list(zip(labels_of(runs, tables), curves))
+    labels = labels_of(runs, tables)
+    groups = [(label, list(seeds.values())) for label, seeds in zip(labels, curves)]
     title = ", ".join(sorted({table["env"]["name"] for table in tables}))
     panels = _diagnostics(runs, tables)
     if not panels or len(runs) > MAX_CURVES:
         draw_groups(groups, title, metric, out, show_seeds)
-        write_csv(groups, metric, out)
+        write_csv(labels, curves, metric, out)
         return Path(out)
     figure, main, side = new_figure(panels=True)
-    ends = [
+    means = [
         draw_curves(main, seeds, label, number, show_seeds)
         for number, (label, seeds) in enumerate(groups)
     ]
     finish(main, title, metric)
-    label_ends(main, ends)
-    name_band(main, curves)
+    label_ends(main, means)
+    name_band(main, [seeds for _, seeds in groups])
     for axes, (title, lines) in zip(side, panels.items()):
         for curve, style, color in lines:
             axes.plot(*curve, color=color, linestyle=style, linewidth=1.4)
@@ -104,7 +105,7 @@ def plot_runs(
     _explain_styles(side[0])
     side[-1].set_xlabel("environment steps", fontsize=8)
     save(figure, out)
-    write_csv(groups, metric, out)
+    write_csv(labels, curves, metric, out)
     return Path(out)
 
 
@@ -150,8 +151,8 @@ def recorded_curves(result: Path) -> tuple[str, list[Curve]]:
     return f"{Path(result).stem} ({seeds})", curves
 
 
-def read_evaluations(run: Path, metric: str) -> list[Curve]:
-    """Read the evaluations of a run, one curve per seed.
+def read_evaluations(run: Path, metric: str) -> dict[int, Curve]:
+    """Read the evaluations of a run, one curve per seed, by the index of the seed.
 
     Raises:
         RunError: `run` is not the folder of a run, or has no evaluation of that name yet.
@@ -162,8 +163,8 @@ def read_evaluations(run: Path, metric: str) -> list[Curve]:
     return curves
 
 
-def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
-    """Read one curve per seed that has a record of the metric.
+def read_curves(run: Path, kind: str, metric: str) -> dict[int, Curve]:
+    """Read a curve for each seed that has a record of the metric, by the index of the seed.
 
     Args:
         run: Folder of the run.
@@ -174,7 +175,7 @@ def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
         RunError: `run` is not the folder of a run.
     """
     read_config(run)  # raises the error
-    curves = []
+    curves = {}
     for seed in seeds_of(run):
         records = metrics_log.read(metrics_path(run, seed))
         points = [
@@ -184,7 +185,7 @@ def read_curves(run: Path, kind: str, metric: str) -> list[Curve]:
         ]
         if points:
             steps, values = np.array(points, float).T
-            curves.append((steps, values))
+            curves[seed] = (steps, values)
     return curves
 
 
@@ -203,7 +204,7 @@ def _diagnostics(runs: list[Path], tables: list[dict]) -> dict[str, list[tuple[C
                 curves = read_curves(run, "train", metric)
                 if count < 2 or not curves:
                     continue
-                steps, values = common_steps(curves)
+                steps, values = common_steps(list(curves.values()))
                 scale = np.log(count) if metrics is ENTROPIES else 1.0
                 found[title].append(((steps, values.mean(axis=0) / scale), STYLES[level], color))
     return {title: lines for title, lines in found.items() if lines}
@@ -234,10 +235,16 @@ def _explain_styles(axes: "Axes") -> None:
 
 
 def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
-    """Return one label per run: the algorithm if all differ, else the name of the folder."""
+    """Return one label per run: the algorithm if all differ, else the name of the folder.
+
+    Folders that share their name have the names of parents before it, until they differ.
+    """
     names = [table["algorithm"]["name"] for table in tables]
     if len(set(names)) < len(names):
-        names = [run.resolve().name for run in runs]
+        folders, depth = [run.resolve().parts for run in runs], 1
+        while len({parts[-depth:] for parts in folders}) < len(set(folders)):
+            depth += 1
+        names = ["/".join(parts[-depth:]) for parts in folders]
     counts = [len(seeds_of(run)) for run in runs]
     return [f"{name} ({n} seed{'s' * (n > 1)})" for name, n in zip(names, counts)]
 

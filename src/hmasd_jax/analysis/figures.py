@@ -1,7 +1,7 @@
 """Figures of learning curves, for `plot` and `compare`."""
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +13,7 @@ from hmasd_jax.runs.folder import RunError
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
 """Colors that color-blind readers can tell apart (Okabe and Ito)."""
@@ -61,7 +62,7 @@ def draw_curves(
     label: str,
     number: int = 0,
     show_seeds: bool = False,
-) -> tuple[float, float]:
+) -> "Line2D":
     """Draw the mean over seeds and its interval.
 
     Args:
@@ -73,7 +74,7 @@ def draw_curves(
         show_seeds: If True, also draw a thin line per seed.
 
     Returns:
-        The end of the mean, for `label_ends`.
+        The line of the mean, for `label_ends`.
     """
     color = COLORS[number % len(COLORS)]
     for own, values in curves if show_seeds else ():
@@ -83,7 +84,7 @@ def draw_curves(
         axes.fill_between(steps, *mean_interval(values), color=color, alpha=0.2, linewidth=0)
     mean = values.mean(axis=0)
     every = max(len(steps) // 4, MAX_CURVES)
-    axes.plot(
+    (line,) = axes.plot(
         steps,
         mean,
         color=color,
@@ -94,17 +95,18 @@ def draw_curves(
         markersize=4.5,
         markevery=(number % MAX_CURVES * every // MAX_CURVES, every),
     )
-    return (float(steps[-1]), float(mean[-1])) if len(steps) else (0.0, 0.0)
+    return line
 
 
-def label_ends(axes: "Axes", ends: Sequence[tuple[float, float]]) -> None:
+def label_ends(axes: "Axes", lines: Sequence["Line2D"]) -> None:
     """Write the label of each curve beside its end, so far apart that all can be read.
 
     Args:
-        axes: Axes with finished limits. Their labeled lines are those of `ends`, in order.
-        ends: Last point of each curve.
+        axes: Axes with finished limits.
+        lines: Their curves.
     """
-    lines = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
+    points = [np.asarray(line.get_xydata(), float) for line in lines]
+    ends = [(float(own[-1, 0]), float(own[-1, 1])) if len(own) else (0.0, 0.0) for own in points]
     low, high = axes.get_ylim()
     heights = np.array([(y - low) / (high - low) for _, y in ends])
     order = np.argsort(heights, kind="stable")
@@ -171,12 +173,12 @@ def draw_groups(
     panels = figure.subplots(count, sharex=True, sharey=True, squeeze=False)[:, 0]
     for axes, part in zip(panels, np.array_split(np.arange(len(groups)), count)):
         numbers = range(len(part)) if styles is None else [styles[i] for i in part]
-        ends = [
+        lines = [
             draw_curves(axes, groups[i][1], groups[i][0], number, show_seeds)
             for i, number in zip(part, numbers)
         ]
         finish(axes, title if axes is panels[0] else "", metric)
-        label_ends(axes, ends)
+        label_ends(axes, lines)
     name_band(panels[-1], [curves for _, curves in groups])
     for axes in panels[:-1]:
         axes.set_xlabel("")
@@ -190,14 +192,23 @@ def name_band(axes: "Axes", groups: Sequence[Sequence[Curve]]) -> None:
         axes.set_xlabel(f"{axes.get_xlabel()}\n{note}", fontsize=9)
 
 
-def write_csv(groups: Sequence[Group], metric: str, out: Path) -> Path:
-    """Write curves as rows of label, seed, env_steps and value; return the file."""
+def write_csv(
+    labels: Sequence[str], groups: Sequence[Mapping[int, Curve]], metric: str, out: Path
+) -> Path:
+    """Write curves as rows of label, seed, env_steps and value; return the file.
+
+    Args:
+        labels: Name of each group.
+        groups: The curve of each seed, by the index of the seed.
+        metric: Name of the column of values.
+        out: Image that the curves are drawn in. The file beside it has the suffix .csv.
+    """
     out = Path(out).with_suffix(".csv")
     with out.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("label", "seed", "env_steps", metric))
-        for label, curves in groups:
-            for seed, curve in enumerate(curves):
+        for label, curves in zip(labels, groups):
+            for seed, curve in curves.items():
                 writer.writerows((label, seed, int(x), float(y)) for x, y in zip(*curve))
     return out
 
