@@ -97,6 +97,15 @@ def test_the_page_shows_skills_and_their_use(report):
     assert "places of agents with z = 1" in text
 
 
+def test_all_runs_of_a_page_are_judged_by_one_metric(tmp_path):
+    one = write_run(tmp_path / "one", [[0.0, 0.5]])
+    other = write_run(tmp_path / "other", [[0.0, 0.5]], metric="return")
+    for run in (one, other):
+        found = page.gather_runs([run, one], episodes=1, num_seeds=0, solved_at=None, track=iter)
+        metric = "success" if run is one else "return"
+        assert [run.metric for run in found] == [metric, metric]
+
+
 def test_data_goes_beside_the_page(report):
     with (report.parent / "report_skills.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -9,8 +9,6 @@ from hmasd_jax.analysis.learning import (
     Band,
     Learned,
     bands,
-    default_bar,
-    main_metric,
     read_records,
     summarize,
 )
@@ -57,6 +55,7 @@ class Run(NamedTuple):
     """The run's `run.json`."""
     records: dict[int, list[Record]]
     metric: str
+    """Name of the score in the evaluations."""
     learned: Learned | None
     evaluation: dict[str, Band]
     training: dict[str, Band]
@@ -66,17 +65,23 @@ class Run(NamedTuple):
 
 
 def gather(
-    path: Path, label: str, episodes: int, num_seeds: int, solved_at: float | None, track: Track
+    path: Path,
+    label: str,
+    metric: str,
+    episodes: int,
+    num_seeds: int,
+    solved_at: float,
+    track: Track,
 ) -> Run:
     """Read a run and play its newest checkpoints; the folder is only read.
 
     Args:
         path: Folder of the run.
         label: Name in legends.
+        metric: Name of the score in the evaluations.
         episodes: Episodes per condition of `study_skills`.
         num_seeds: Most seeds to study.
-        solved_at: Score from which a seed has learned the task; None takes `default_bar` of
-            the metric.
+        solved_at: Score from which a seed has learned the task.
         track: Wrapper of the loops, e.g. a progress bar.
 
     Raises:
@@ -85,10 +90,6 @@ def gather(
     """
     records = read_records(path)
     table = to_json(read_config(path))
-    evaluation = bands(records, "eval")
-    metric = main_metric(evaluation or ["success"])
-    if solved_at is None:
-        solved_at = default_bar(metric)
     seeds, lacks = study_seeds(path, list(records), episodes, num_seeds, track)
     preset = find_preset(table)
     about, no_about = _read_json(path / "run.json")
@@ -104,7 +105,7 @@ def gather(
         records=records,
         metric=metric,
         learned=summarize(records, metric, solved_at),
-        evaluation=evaluation,
+        evaluation=bands(records, "eval"),
         training=bands(records, "train"),
         seeds=seeds,
         lacks=[*_lacking_records(path, records, summary), *lacks, *no_about, *no_summary],

@@ -8,7 +8,7 @@ from pathlib import Path
 from envs_jax.declared import name_actions
 from envs_jax.optional import require
 from hmasd_jax.analysis.curves import labels_of
-from hmasd_jax.analysis.learning import Band, curve_rows
+from hmasd_jax.analysis.learning import Band, common_metric, curve_rows, default_bar
 from hmasd_jax.analysis.skills import Track, conditions
 from hmasd_jax.analysis.usefulness import table
 from hmasd_jax.config import to_json
@@ -90,10 +90,12 @@ def check_packages() -> None:
 def gather_runs(
     runs: Sequence[Path], episodes: int, num_seeds: int, solved_at: float | None, track: Track
 ) -> list[Run]:
-    """Gather all runs of a report; see `write_report`."""
+    """Gather all runs of a report, judged by one metric; see `write_report`."""
     tables = [to_json(read_config(run)) for run in runs]
+    metric = common_metric(runs)
+    bar = default_bar(metric) if solved_at is None else solved_at
     return [
-        gather(run, label, episodes, num_seeds, solved_at, track)
+        gather(run, label, metric, episodes, num_seeds, bar, track)
         for run, label in zip(runs, labels_of(list(runs), tables))
     ]
 
