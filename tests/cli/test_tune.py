@@ -176,6 +176,19 @@ def test_an_interrupted_search_says_how_to_go_on_and_does(plays, tmp_path, capsy
     assert len(trials(folder)) == 3
 
 
+def test_a_trial_whose_folder_was_never_finished_begins_again(plays, tmp_path):
+    calls, scores = plays
+    folder = tmp_path / "s"
+    scores |= {"trial_0": "interrupted"}
+    assert tune(folder, "--trials", "1") == 130
+    for path in (folder / "trial_0").iterdir():  # as if the disk was full within `create`
+        path.unlink()
+    scores.clear()
+    assert main(["tune", "--run-dir", str(folder), "--resume"]) == 0
+    assert [options.resume for _, _, options, _ in calls] == [False, False]
+    assert [trial.state.name for trial in trials(folder)] == ["COMPLETE"]
+
+
 def test_a_signal_at_the_end_of_a_trial_ends_the_search(plays, tmp_path, monkeypatch):
     calls, _ = plays
     pretend = tune_command.run_seeds

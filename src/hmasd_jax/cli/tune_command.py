@@ -111,7 +111,7 @@ def run_trial(search: Search, trial: "Trial", options: TuneOptions, console: Con
     pruner = trials.Pruner(search, trial, config, at_once)
     run = trial_folder(search.folder, trial.number)
     sweep = SweepOptions(
-        run_dir=run, resume=run.exists(), tensorboard=options.tensorboard, wandb=options.wandb
+        run_dir=run, resume=is_run(run), tensorboard=options.tensorboard, wandb=options.wandb
     )
     words = _command(search, values, run)
     try:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from rich.table import Table
 
+from hmasd_jax.runs.folder import is_run
 from hmasd_jax.search.score import read_evaluations
 from hmasd_jax.search.space import value_of
 from hmasd_jax.search.study import Search, trial_folder
@@ -61,7 +62,10 @@ def describe_score(search: Search) -> str:
     config = search.definition.config
     last = min(search.definition.last, make_plan(config).num_evaluations - 1)
     counted = f"mean of the last {last} evaluations" if last > 1 else "last evaluation"
-    metric, _ = read_evaluations(trial_folder(search.folder, 0), config.num_seeds)
+    numbers = (trial.number for trial in search.study.get_trials(deepcopy=False))
+    folders = (trial_folder(search.folder, number) for number in numbers)
+    run = next(filter(is_run, folders), None)  # Others may be on other machines.
+    metric = "score" if run is None else read_evaluations(run, config.num_seeds)[0]
     seeds = f"{config.num_seeds} seeds" if config.num_seeds > 1 else "one seed"
     return f"{metric}, {counted} of {seeds}"
 
