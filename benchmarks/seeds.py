@@ -30,6 +30,8 @@ from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.training.compiled import BatchPlacement, batched
 
 PLACEMENTS = ("workers", "vmap", "map", "sharded")
+COMPILES_WITHIN = 900
+"""Time after which workers no longer wait for one that has failed (seconds)."""
 
 
 def in_one_program(
@@ -70,7 +72,7 @@ def _work(config: Any, seeds: int, repeats: int, barrier: Any) -> tuple[Timing, 
     _, learner = configs.build(config)
     state = jax.jit(learner.init)(jax.random.key(0))
     update, compile_s = compiled(learner.update, state)
-    barrier.wait()  # no process is timed while another one still compiles
+    barrier.wait(COMPILES_WITHIN)  # no process is timed while another one still compiles
 
     def one_after_the_other() -> None:
         for _ in range(seeds):

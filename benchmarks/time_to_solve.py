@@ -97,7 +97,8 @@ def recorded() -> Iterator[Row]:
         record = json.loads(path.read_text())
         if "tried" in path.parts or not {"values", "wall_seconds"} <= set(record):
             continue
-        if not record["device"].startswith("cpu"):  # Its seeds did not have a core each.
+        devices = record.get("devices", [record["device"]])
+        if not all(device.startswith("cpu") for device in devices):  # Not a core for each seed.
             continue
         steps = record["env_steps"]
         curves = [

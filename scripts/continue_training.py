@@ -27,6 +27,8 @@ from scripts.records import checkpoint_parser, describe_script, write_rows
 POOLED = 5
 """Updates per number."""
 SUCCESS = "episode_sum/success"
+UNUSED = 2
+"""Number from which on `key_beside` makes keys that training does not use."""
 
 
 def continue_training(
@@ -44,7 +46,8 @@ def continue_training(
     run_updates = build_executable(updates, state)
     rows = []
     for repetition in range(repetitions):
-        now = state._replace(key=key_beside(state.key, repetition))
+        # Training itself uses the first keys beside its own.
+        now = state._replace(key=key_beside(state.key, UNUSED + repetition))
         scores = defaultdict(list)
         for _ in range(num_updates // POOLED):
             now, pooled = run_updates(now)

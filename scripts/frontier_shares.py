@@ -38,6 +38,12 @@ def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]
     ]
 
 
+def find_frontier(bonus: Any) -> Frontier | None:
+    """Return the frontier in the state of a bonus, which is a pair if two are added."""
+    parts = (bonus,) if isinstance(bonus, Frontier) else bonus
+    return next((part for part in parts if isinstance(part, Frontier)), None)
+
+
 def main() -> None:
     """Record the shares of all seeds of a run."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -49,9 +55,13 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for seed in run_folder.seeds_of(args.run):
         trained = load_run(args.run, seed)
-        if not isinstance(trained.state.bonus, Frontier):
+        frontier = find_frontier(trained.state.bonus)
+        if frontier is None:
             parser.error(f"{args.run} was trained without algorithm.frontier: choose another run")
-        shares = list_shares(trained.state.bonus, args.feature)
+        last = len(frontier.low) - 1
+        if not 0 <= args.feature <= last:
+            parser.error(f"FEATURE must be from 0 to {last}, got {args.feature}")
+        shares = list_shares(frontier, args.feature)
         rows += [{"seed": seed, "env_steps": trained.env_steps, **s} for s in shares]
     write_rows(args.out, about, rows)
 

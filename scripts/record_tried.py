@@ -19,11 +19,15 @@ def add(out: Path, runs: list[Path], changed: str) -> list[dict]:
     entries = json.loads(out.read_text()) if out.exists() else []
     for run in runs:
         new = {"changed": changed, **record(run)}
-        same = [entry["command"] == new["command"] for entry in entries]
-        entries = [entry for entry, replaced in zip(entries, same) if not replaced] + [new]
+        entries = [entry for entry in entries if _run_of(entry) != _run_of(new)] + [new]
     out.parent.mkdir(parents=True, exist_ok=True)
     write_json(out, entries)
     return entries
+
+
+def _run_of(entry: dict) -> tuple[str, str | None]:
+    """Return what tells the run of an entry from others. A resumed run keeps both."""
+    return entry["command"], entry.get("started")
 
 
 def main() -> None:

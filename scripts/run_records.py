@@ -35,7 +35,10 @@ def record(run: Path) -> dict[str, Any]:
     for seed, other in zip(seeds[1:], others):
         joined |= _join(joined, other, f"seed {seed} of {run}")
     about = {name: value for name, value in about.items() if name != "resumed"}
-    return {**about, "command": " ".join(about["command"]), "config": config, **joined}
+    found = {**about, "command": " ".join(about["command"]), "config": config, **joined}
+    if recorded_seeds(found) != seeds:  # A folder may hold seeds that were trained one by one.
+        found["command"] = _name_seeds(any_seed(found["command"]), found, seeds)
+    return found
 
 
 def _record_of_seed(run: Path, seed: int, later_commits: list[str]) -> dict[str, Any]:

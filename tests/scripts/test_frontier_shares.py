@@ -2,8 +2,20 @@ import jax
 import jax.numpy as jnp
 
 import envs_jax
-from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
-from scripts.frontier_shares import list_shares
+from hmasd_jax.exploration.bonus import add
+from hmasd_jax.exploration.frontier import Frontier, FrontierConfig, make_frontier
+from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
+from scripts.frontier_shares import find_frontier, list_shares
+
+
+def test_the_frontier_is_found_beside_another_bonus():
+    env = envs_jax.make("probe_match_cue")
+    frontier = make_frontier(env, FrontierConfig(coef=1.0), num_envs=3)
+    novelty = make_novelty(env, NoveltyConfig(coef=1.0))
+    for bonus, found in ((frontier, True), (add(novelty, frontier), True), (novelty, False)):
+        state = bonus.init(jax.random.key(0))
+        assert isinstance(find_frontier(state), Frontier) is found
+    assert find_frontier(()) is None
 
 
 def test_shares_of_one_feature_by_direction_and_bin():

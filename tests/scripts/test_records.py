@@ -266,6 +266,23 @@ def test_tried_runs_are_added_and_replaced(run, tmp_path):
     assert entries[0]["values"] == [[0.0, 1.0]]
 
 
+def test_equal_commands_of_two_runs_are_two_tried_entries(run, tmp_path):
+    twin = write_run(tmp_path / "twin", [[0.0, 1.0]])
+    about = json.loads((run / "run.json").read_text())
+    (twin / "run.json").write_text(json.dumps(about | {"started": "later"}))
+    record_tried.add(tmp_path / "tried.json", [run], "nothing")
+    assert len(record_tried.add(tmp_path / "tried.json", [twin, twin], "nothing")) == 2
+
+
+def test_seeds_that_were_trained_one_by_one_in_a_folder_are_named(seed_runs):
+    first, second = seed_runs
+    (first / "seed_0").rename(first / "seed_2")
+    (second / "seed_1").rename(first / "seed_3")
+    recorded = run_records.record(first)
+    assert run_records.recorded_seeds(recorded) == [2, 3]
+    assert recorded["command"] == "python x --seed 3 --total-env-steps 8 --seed-index I for I = 2,3"
+
+
 def test_seeds_on_a_gpu_share_their_time():
     cpu = {"device": "cpu: cpu", "wall_seconds": [60.0, 120.0], "values": [[], []]}
     assert record_result.minutes(cpu) == "3"
