@@ -135,8 +135,9 @@ COMMANDS = {
 
 
 MEMORY_ADVICE = """the device has too little memory: {}; take fewer copies \
-(--algorithm.ppo.num-envs) or seeds (--num-seeds), and where programs share a GPU, give each a \
-part (XLA_PYTHON_CLIENT_MEM_FRACTION); what was saved before stays usable"""
+(--algorithm.ppo.num-envs), a smaller replay (--algorithm.q-learning.buffer-size) or fewer seeds \
+(--num-seeds), and where programs share a GPU, give each a part (XLA_PYTHON_CLIENT_MEM_FRACTION); \
+what was saved before stays usable"""
 
 
 def main(words: list[str] | None = None) -> int:

@@ -1,9 +1,9 @@
 """Imitation of a policy's own successes (self-imitation learning, Oh et al., ICML 2018).
 
 A ring buffer keeps sequences that led to reward. After each update of PPO the actor takes a few
-gradient steps towards the stored actions. They are weighted by the discounted reward that followed.
-The weights are averaged over the whole buffer, so that one lucky rollout in an empty buffer pulls
-little.
+gradient steps towards the stored actions. The critic has no gradient then, but Adam goes on moving
+it by its momentum. The actions are weighted by the discounted reward that followed. The weights are
+averaged over the whole buffer, so that one lucky rollout in an empty buffer pulls little.
 """
 
 from collections.abc import Callable

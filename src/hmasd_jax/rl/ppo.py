@@ -22,7 +22,8 @@ class PPOConfig:
     """Step size of Adam for every network."""
     decay_updates: int = 0
     """Updates (rollouts) over which the step size falls linearly to 0. With 0 it stays constant, as
-    in the paper."""
+    in the paper. The steps of imitation count, but only those that are taken: none before the first
+    success."""
     average_updates: int = 0
     """Updates over which the parameters that act in evaluation are averaged. With 0 the last ones
     act, as in the paper."""
