@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from hmasd_jax.cli.main import main
-from hmasd_jax.cli.train_commands import next_step
 from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs import checkpoint, metrics_log
@@ -63,32 +62,6 @@ def test_a_run_without_seed_0_must_be_told_which_of_its_seeds_to_resume(alone, t
     shutil.copytree(run / "seed_1", run / "seed_4")
     assert main(["train", "--run-dir", str(run), "--resume"]) == 2
     assert "has the seeds 1, 4: choose one to resume by --seed-index" in capsys.readouterr().err
-
-
-def test_a_finished_run_ends_with_its_plot_and_a_next_step(tmp_path, capsys):
-    assert main(["train", "--run-dir", str(tmp_path / "run"), *words(total_env_steps=40)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    (compiling,) = [line for line in lines if line.startswith("compiling, which takes minutes")]
-    assert lines.index(compiling) < lines.index("seed 0: fresh")
-    render = f"python -m hmasd_jax.train render {tmp_path}/run"
-    assert lines[-2:] == [
-        f"curves: {tmp_path}/run/curves.png",
-        f"see what was learned: {render} --out episode.gif",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("algorithm", "seed", "end"),
-    [
-        ("hmasd", 0, "see what the skills do: {} --team-skill 0 --out skill_0.gif"),
-        ("mappo", 3, "see what was learned: {} --seed-index 3 --out episode.gif"),
-    ],
-)
-def test_the_next_step_is_a_command_for_this_run(algorithm, seed, end, tmp_path):
-    create(tmp_path / "a run", load(None, {"algorithm.name": algorithm}), [])
-    (tmp_path / "a run" / f"seed_{seed}").mkdir()
-    command = f"python -m hmasd_jax.train render '{tmp_path}/a run'"
-    assert next_step(tmp_path / "a run") == end.format(command)
 
 
 def test_a_run_folder_holds_everything(alone):
@@ -187,16 +160,6 @@ def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, placement, tmp_path):
     assert {path.name for path in run.iterdir()} >= {"summary.json", "curves.png", "seed_2"}
     assert "seed 2 finished at env step 200" in done.stdout
     assert "compiled in" in done.stdout
-
-
-def test_what_follows_is_told_at_the_start(tmp_path, capsys):
-    command = ["train", "--run-dir", str(tmp_path / "run")]
-    assert main([*command, *words(total_env_steps=210)]) == 0
-    text = capsys.readouterr().out
-    assert "updates          10 of 20 env steps" in text
-    assert "evaluations      4 of 5 episodes, every 80 env steps" in text
-    assert "total_env_steps 210 is rounded down to 200, a multiple of the 20 env steps" in text
-    assert "predicted memory" in text
 
 
 def test_a_resume_that_is_refused_changes_nothing(alone, tmp_path, capsys):

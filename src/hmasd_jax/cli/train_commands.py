@@ -218,6 +218,12 @@ def describe(
             f"note: total_env_steps {config.total_env_steps:,} is rounded down to "
             f"{plan.env_steps:,}, a multiple of the {per_update:,} env steps of one update"
         )
+    if names["algorithm"].get("extrinsic_coef") == 0 and names["env"]["name"] != "alice_and_bob":
+        lines.append(
+            "note: algorithm.extrinsic_coef is 0, so the low level is not paid the team reward, as "
+            "in the paper's Alice_and_Bob; configs/alice_and_bob/hmasd_general.toml has settings "
+            "for any task"
+        )
     return "\n".join(lines)
 
 
