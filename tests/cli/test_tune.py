@@ -158,6 +158,28 @@ def test_an_error_that_is_no_trial_s_fault_loses_nothing(plays, tmp_path, capsys
     assert [trial.state.name for trial in trials(folder)] == ["COMPLETE"] * 3
 
 
+def test_a_database_that_goes_away_is_one_line(plays, tmp_path, capsys, monkeypatch):
+    folder, database = tmp_path / "s", tmp_path / "s.db"
+    pretend = tune_command.run_seeds
+
+    def lose(*args, **more):
+        if len(plays[0]) == 1:
+            database.rename(tmp_path / "away")
+            database.mkdir()
+        return pretend(*args, **more)
+
+    monkeypatch.setattr(tune_command, "run_seeds", lose)
+    assert tune(folder, "--trials", "2", "--storage", f"sqlite:///{database}") == 2
+    error = capsys.readouterr().err
+    assert f"lost the storage of {folder}: " in error
+    assert "Traceback" not in error
+    database.rmdir()
+    (tmp_path / "away").rename(database)
+    monkeypatch.setattr(tune_command, "run_seeds", pretend)
+    assert main(["tune", "--run-dir", str(folder), "--resume"]) == 0
+    assert [trial.state.name for trial in trials(folder)] == ["COMPLETE"] * 2
+
+
 def test_an_interrupted_search_says_how_to_go_on_and_does(plays, tmp_path, capsys):
     calls, scores = plays
     folder = tmp_path / "s"

@@ -24,6 +24,7 @@ from hmasd_jax.runs.folder import is_run
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.search import trials
 from hmasd_jax.search.space import count, preset_values, read_space
+from hmasd_jax.search.storage import needs_storage
 from hmasd_jax.search.study import (
     Definition,
     Search,
@@ -51,7 +52,7 @@ def tune(config: TrainConfig, options: TuneOptions, words: list[str]) -> int:
     search = open_search(config, options)
     console = Console()
     code = 0
-    with stop_on_signal() as should_stop:
+    with stop_on_signal() as should_stop, needs_storage(search.folder):
         while not should_stop() and code != INTERRUPTED:
             with trials.next_trial(search) as trial:
                 if trial is None:

@@ -62,6 +62,26 @@ def open_storage(folder: Path, place: dict, url: str | None, may_write: bool) ->
         raise RunError(f"cannot use the storage {shown} of {folder}: {reason[0]}") from error
 
 
+@contextmanager
+def needs_storage(folder: Path) -> Iterator[None]:
+    """Make one error of the loss of a database while its search goes on.
+
+    Raises:
+        RunError: The database can no longer be used; the message says how to continue.
+    """
+    from optuna.exceptions import StorageInternalError
+    from sqlalchemy.exc import SQLAlchemyError
+
+    try:
+        yield
+    except (StorageInternalError, SQLAlchemyError) as error:
+        reason = str(error.__cause__ or error).splitlines()[0]
+        raise RunError(
+            f"lost the storage of {folder}: {reason}; what was trained is saved: continue with "
+            "--resume when the storage is back"
+        ) from error
+
+
 def _journal(folder: Path, may_write: bool) -> "optuna.storages.BaseStorage":
     """Return the storage in the folder's own file."""
     from optuna.storages import JournalStorage
