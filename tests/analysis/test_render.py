@@ -1,3 +1,4 @@
+from pathlib import Path
 from types import SimpleNamespace
 
 import imageio.v3 as iio
@@ -9,6 +10,7 @@ from envs_jax.alice_and_bob import COLORS, AliceAndBob
 from envs_jax.declared import describe_agents
 from hmasd_jax.analysis import episodes, render, skill_maps
 from hmasd_jax.analysis import frames as drawing
+from hmasd_jax.cli.main import main
 from hmasd_jax.rl.ppo import PPOConfig
 from hmasd_jax.runs.folder import RunError
 from hmasd_jax.validation import ConfigError
@@ -108,6 +110,17 @@ def test_writes_a_gif(run, tmp_path):
     assert len(frames) > 20
     assert iio.immeta(out)["duration"] == 250
     assert out.stat().st_size < 1_000_000
+
+
+def test_the_command_draws_the_seed_and_checkpoint_asked_for(
+    trained, tmp_path, monkeypatch, capsys
+):
+    asked, out = [], tmp_path / "e.gif"
+    monkeypatch.setattr(render, "load_run", lambda *which: asked.append(which) or trained)
+    words = ["--seed-index", "2", "--step", "80", "--out", str(out)]
+    assert main(["render", "run", *words]) == 0
+    assert asked == [(Path("run"), 2, 80)]
+    assert capsys.readouterr().out == f"{out}\n"
 
 
 def test_episodes_are_drawn_in_one_view(run, tmp_path, monkeypatch):

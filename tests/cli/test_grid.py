@@ -25,9 +25,9 @@ def sweeps(monkeypatch):
     return calls, codes
 
 
-def test_a_sweep_per_value(sweeps, tmp_path):
+def test_a_sweep_per_value(sweeps, tmp_path, capsys):
     calls, _ = sweeps
-    assert main([*WORDS, "--run-dir", str(tmp_path / "k")]) == 0
+    assert main([*WORDS, "--tensorboard", "--run-dir", str(tmp_path / "k")]) == 0
     assert [config.algorithm.skill_interval for config, _, _ in calls] == [25, 50]
     for value, (config, options, words) in zip((25, 50), calls):
         folder = tmp_path / "k" / f"skill_interval_{value}"
@@ -36,9 +36,13 @@ def test_a_sweep_per_value(sweeps, tmp_path):
         assert config.num_seeds == 2
         # The command that makes this folder alone.
         assert words == [
-            "seed_sweep", "--num-seeds", "2", "--algorithm.skill_interval", str(value),
-            "--run-dir", str(folder),
+            "seed_sweep", "--num-seeds", "2", "--tensorboard",
+            "--algorithm.skill_interval", str(value), "--run-dir", str(folder),
         ]  # fmt: skip
+    assert all(options.tensorboard for _, options, _ in calls)
+    folders = " ".join(str(tmp_path / "k" / f"skill_interval_{value}") for value in (25, 50))
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last == f"next: python -m hmasd_jax.train compare {folders}"
 
 
 def test_several_settings_are_combined(sweeps, tmp_path):

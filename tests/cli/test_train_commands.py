@@ -22,9 +22,8 @@ from hmasd_jax.runs.folder import (
     read_config,
     seeds_of,
 )
-from hmasd_jax.runs.load import load_run
 from hmasd_jax.training import host_memory, loop
-from hmasd_jax.training.compiled import evaluation_key, seed_key
+from hmasd_jax.training.compiled import seed_key
 from hmasd_jax.training.job import Job
 from hmasd_jax.training.loop import train_seeds
 from hmasd_jax.validation import ConfigError
@@ -72,6 +71,9 @@ def test_a_run_folder_holds_everything(alone):
     assert record["command"][1:4] == ["-m", "hmasd_jax.train", "train"]
     assert record["jax"] == jax.__version__
     assert record["device"].startswith("cpu")
+    git = ["git", "-C", os.path.dirname(__file__), "rev-parse", "HEAD"]
+    head = subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
+    assert record["commit"].removesuffix("+") == head
     assert checkpoint.steps(alone / "seed_1" / "checkpoints") == [80, 160, 200]
     summary = json.loads((alone / "summary.json").read_text())
     assert summary["seeds"]["1"]["status"] == "finished"
@@ -112,33 +114,6 @@ def test_without_an_episode_there_is_no_success():
     assert pooled == {"episodes": 0.0, "loss": 1.5}
 
 
-def test_the_command_evaluate_gives_the_numbers_of_the_run(alone, capsys):
-    last = metrics_log.read(metrics_path(alone, 1))[-1]
-    assert main(["evaluate", str(alone)]) == 0
-    text = capsys.readouterr().out
-    assert f"{last['length']:.3f}" in text
-    assert "5 greedy episodes" in text
-    # The saved state is the one that was evaluated.
-    trained = load_run(alone, 1)
-    state, key = (
-        jax.tree.map(lambda x: x[None], trained.state),
-        evaluation_key(trained.config, 1, 200),
-    )
-    compiled = loop.compiled(
-        trained.env, trained.algorithm, trained.config.eval_episodes, 1, "vmap"
-    )
-    metrics = compiled.evaluate(state, key[None])
-    assert float(metrics["length"][0]) == last["length"]
-    assert main(["evaluate", str(alone), "--sampled", "--episodes", "3"]) == 0
-    assert "3 sampled episodes" in capsys.readouterr().out
-    earlier = checkpoint.steps(checkpoint_folder(alone, 1))[0]
-    assert earlier < 200
-    assert main(["evaluate", str(alone), "--step", str(earlier)]) == 0
-    assert f"│ {earlier} " in capsys.readouterr().out
-    assert main(["evaluate", str(alone), "--step", "7"]) == 1
-    assert "error: seed 1: no checkpoint of step 7 in " in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("placement", ["workers", "vmap", "map", "sharded"])
 def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, placement, tmp_path):
     command = [sys.executable, toy.__file__, "seed_sweep", "--run-dir", str(tmp_path / "run")]
@@ -156,7 +131,7 @@ def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, placement, tmp_path):
     for ours, theirs in zip(numbers(run, 1), numbers(alone, 1), strict=True):
         assert ours.pop("kind") == theirs.pop("kind")
         assert ours == pytest.approx(theirs, rel=1e-5)
-    assert numbers(run, 0)[1] != numbers(run, 2)[1]
+    assert numbers(run, 0)[1]["loss"] != numbers(run, 2)[1]["loss"]
     assert {path.name for path in run.iterdir()} >= {"summary.json", "curves.png", "seed_2"}
     assert "seed 2 finished at env step 200" in done.stdout
     assert "compiled in" in done.stdout

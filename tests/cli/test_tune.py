@@ -158,6 +158,17 @@ def test_an_error_that_is_no_trial_s_fault_loses_nothing(plays, tmp_path, capsys
     assert [trial.state.name for trial in trials(folder)] == ["COMPLETE"] * 3
 
 
+def test_values_of_an_earlier_trial_are_not_trained_again(plays, tmp_path, capsys):
+    calls, scores = plays
+    scores["trial_0"], folder = 0.25, tmp_path / "s"
+    assert tune(folder, "--trials", "1") == 0
+    read_search(folder).study.enqueue_trial(trials(folder)[0].params)
+    assert main(["tune", "--run-dir", str(folder), "--resume", "--trials", "2"]) == 0
+    assert [name for name, *_ in calls] == ["trial_0"]
+    assert [trial.value for trial in trials(folder)] == [0.25, 0.25]
+    assert "trial 1 has the values and so the score of trial 0" in capsys.readouterr().out
+
+
 def test_a_database_that_goes_away_is_one_line(plays, tmp_path, capsys, monkeypatch):
     folder, database = tmp_path / "s", tmp_path / "s.db"
     pretend = tune_command.run_seeds

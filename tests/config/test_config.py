@@ -182,8 +182,8 @@ def test_metrics_are_logged_at_every_stop():
         plan = make_plan(config)
         assert plan.eval_every % plan.log_every == 0
         assert plan.checkpoint_every % plan.log_every == 0
-    assert plan.next_stop(0) == plan.log_every
-    assert plan.next_stop(plan.num_updates - 1) == plan.num_updates
+        assert plan.next_stop(0) == plan.log_every
+        assert plan.next_stop(plan.num_updates - 1) == plan.num_updates
 
 
 TOO_DEEP = "[" * 2000

@@ -6,11 +6,18 @@ A code block that begins with "python needs PACKAGE" is skipped where that packa
 import importlib.util
 import pydoc
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 
 from envs_jax import registry
+from hmasd_jax.cli.main import COMMANDS
+from hmasd_jax.cli.options import GridOptions, RunOptions, TuneOptions
+from hmasd_jax.cli.parse import load_config, parse
+from hmasd_jax.cli.vary import split_settings
+from hmasd_jax.config import change
+from hmasd_jax.search.space import read_space
 from tests.helpers.runs import save_checkpoint, write_run
 
 ROOT = Path(__file__).parents[2]
@@ -24,6 +31,7 @@ FOLDERS = "benchmarks|configs|docs|envs_jax|results|scripts|src|tests"
 PATH = re.compile(rf"`((?:{FOLDERS})/[\w./*{{}},-]*)`")
 RUN = "runs/hmasd"
 """Run that code blocks load. It is written for them, with a policy that is not trained."""
+COMMAND = re.compile(r"python -m hmasd_jax\.train ([^\n#&]+)")
 HISTORY = {"CHANGELOG.md"}
 """Pages that name what is gone."""
 
@@ -67,6 +75,35 @@ def test_pages_have_code():
     guides = {f"docs/guides/{stem}.md" for stem in stems}
     tasks = ("alice_and_bob", "overcooked", "micro_battle")
     assert names >= guides | {f"docs/environments/{task}.md" for task in tasks}
+
+
+def _commands(page):
+    """Return the command lines of a page that need neither a package nor a shell's variables."""
+    lines = [x for block in ANY_BLOCK.findall(page.read_text()) for x in COMMAND.findall(block)]
+    words = (shlex.split(line) for line in lines if "$" not in line)
+    return [line for line in words if "--help" not in line and "jaxmarl" not in line]
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.name not in HISTORY and _commands(page)], ids=_name
+)
+def test_commands_can_be_typed(page, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    for name, *words in _commands(page):
+        options, overrides = parse(COMMANDS[name].options, words)
+        if not isinstance(options, RunOptions) or options.resume:
+            continue
+        config = load_config(options, overrides)
+        if isinstance(options, GridOptions):
+            assert all(change(config, cell) for cell in options.cells)
+        elif isinstance(options, TuneOptions):
+            read_space(config, split_settings(options.vary))
+
+
+def test_commands_are_found():
+    pages = {_name(page): len(_commands(page)) for page in PAGES}
+    assert pages["README.md"] >= 10
+    assert pages["docs/guides/running.md"] >= 10
 
 
 def _anchors(page):

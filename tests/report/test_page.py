@@ -62,8 +62,10 @@ def body_of(report):
 
 
 def test_the_page_needs_no_network_and_is_small(report):
-    text = re.sub(r"<script.*?</script>", "", report.read_text(), flags=re.DOTALL)
+    script = re.compile(r"(<script[^>]*>).*?</script>", re.DOTALL)
+    text = script.sub(r"\1", report.read_text())  # The code goes, what it is loaded from stays.
     assert not re.findall(r'(?:src|href)="(?!data:|#)[^"]*"', text)
+    assert not re.search(r"@import|url\((?!['\"]?data:)", text)
     assert text.count("<video") == 2 + 2 + 1  # Z, z, and the policy of MAPPO
     assert report.stat().st_size < 7e6
 
@@ -95,6 +97,20 @@ def test_the_page_shows_skills_and_their_use(report):
     assert len(re.findall("App. F: (?:not )?useful", text)) == 4
     assert "<h3>What the policy does</h3>" in text
     assert "places of agents with z = 1" in text
+
+
+def test_a_served_page_loads_itself_again_and_links_the_agents(hmasd):
+    (run,) = page.gather_runs([hmasd], episodes=2, num_seeds=0, solved_at=None, track=iter)
+    served, file = page.render_page([run], live="0.9.300"), page.render_page([run])
+    for part in ('fetch("/version")', '"0.9.300"', 'href="/drive"'):
+        assert part in served
+        assert part not in file
+
+
+def test_seeds_that_are_not_asked_for_are_named(hmasd):
+    (run,) = page.gather_runs([hmasd], episodes=2, num_seeds=0, solved_at=None, track=iter)
+    assert run.seeds == []
+    assert "Skills of seeds 0, 1, 2 are not shown: ask for them with --seeds." in run.lacks
 
 
 def test_all_runs_of_a_page_are_judged_by_one_metric(tmp_path):

@@ -8,6 +8,7 @@ import urllib.parse
 import pytest
 import uvicorn
 
+from hmasd_jax.cli.main import main
 from hmasd_jax.report import drive, serve
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path
 from hmasd_jax.validation import ConfigError
@@ -180,11 +181,34 @@ def ask(port, path, method="GET", host="127.0.0.1", **form):
 
 def test_the_server_answers_its_pages_only(server):
     assert ask(server, "/")[1].startswith("<p>page 0.")
-    assert ask(server, "/version")[1] in ask(server, "/")[1]
+    assert ask(server, "/")[1] == f"<p>page {ask(server, '/version')[1]}</p>"
     for path in ("/etc/passwd", "/../config.json", "/drive/../../etc/passwd", "/config.json"):
         assert ask(server, path)[0] == 404
     assert ask(server, "/", method="DELETE")[0] == 405
     assert ask(server, "/", host="evil.example")[0] == 400
+
+
+def test_the_first_seed_with_a_checkpoint_is_driven(tmp_path, monkeypatch):
+    run = write_run(tmp_path / "run", [[0.0]] * 3)
+    with pytest.raises(RunError, match="has no checkpoint to drive yet"):
+        serve._first_driver(run)
+    for seed in (1, 2):
+        checkpoint_folder(run, seed).mkdir()
+        (checkpoint_folder(run, seed) / "300.npz").touch()
+    monkeypatch.setattr(serve, "Driver", lambda *which: which)
+    assert serve._first_driver(run) == (run, 1)
+
+
+def test_the_command_serves_what_was_asked_for(tmp_path, monkeypatch, capsys):
+    run, made, seen = write_run(tmp_path / "run", [[0.0]]), threading.Event(), []
+    monkeypatch.setattr(serve, "gather_runs", lambda *a: seen.append(a) or [])
+    monkeypatch.setattr(serve, "render_page", lambda *a, **more: made.set() or "page")
+    monkeypatch.setattr(serve.LiveReport, "watch", serve.LiveReport.look)
+    monkeypatch.setattr(uvicorn.Server, "run", lambda self, sockets: made.wait(20))
+    words = ["--port", "0", "--episodes", "2", "--seeds", "1", "--solved-at", "0.5"]
+    assert main(["report", str(run), "--serve", *words]) == 0
+    assert seen == [([run], 2, 1, 0.5, iter)]
+    assert "http://127.0.0.1:" in capsys.readouterr().out
 
 
 def test_the_server_drives(server):

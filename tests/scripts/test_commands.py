@@ -8,19 +8,9 @@ import pytest
 
 from scripts.records import ROOT
 
-SCRIPTS = [
-    "battle_tactics",
-    "comparison",
-    "first_wins",
-    "lost_battles",
-    "random_play",
-    "record_result",
-    "record_tried",
-    "sampled_play",
-    "skill_accuracy",
-    "skill_actions",
-    "soup_times",
-]
+SCRIPTS = sorted(
+    path.stem for path in (ROOT / "scripts").glob("*.py") if "__main__" in path.read_text()
+)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)

@@ -8,6 +8,7 @@ import pytest
 
 from hmasd_jax.cli.main import COMMANDS
 from hmasd_jax.cli.parse import load_config, parse
+from hmasd_jax.config import load
 from scripts import comparison
 from scripts.comparison import Cell, cells
 from scripts.paper import TASKS
@@ -23,8 +24,8 @@ def test_the_command_of_a_cell_trains_its_system(cell, monkeypatch):
     options, overrides = parse(COMMANDS[words[3]].options, words[4:])
     config = load_config(options, overrides)
     assert (options.seed_index, config.num_seeds) == (3, cell.seeds)
-    for name, value in cell.overrides.items():
-        assert getattr(config.algorithm, name.partition(".")[2]) == value
+    preset = ROOT / "configs" / cell.task / f"{cell.name.partition('_')[0]}.toml"
+    assert config == load(preset, {"num_seeds": cell.seeds, **cell.overrides})
     assert str(options.run_dir) == f"runs/{cell.task.replace('/', '_')}_{cell.name}_3"
     assert cell.name in TASKS[cell.task].paper
 
