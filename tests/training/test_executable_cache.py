@@ -1,5 +1,6 @@
 """Programs on disk: where they are kept, and that one which computes something else is not used."""
 
+import shutil
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -199,12 +200,28 @@ def test_a_record_appears_as_a_whole(folder, load, monkeypatch):
     """Stop before the record is in place, as a kill does, and compile again."""
 
     def stop(path, target):
-        raise InterruptedError
+        raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", stop)
-        with pytest.raises(InterruptedError):
+        with pytest.raises(KeyboardInterrupt):
             load(lambda: "killed")
     assert not list(folder.glob("*.sha256"))
     assert load(lambda: "compiled") == "compiled"
     assert len(list(folder.glob("*.sha256"))) == 1
+
+
+def test_a_folder_that_is_deleted_meanwhile_costs_no_training(folder, load, caplog):
+    def compile_all():
+        shutil.rmtree(folder)
+        return "compiled"
+
+    assert load(compile_all) == "compiled"
+    assert f"cannot keep programs in {folder}: No such file or directory" in caplog.text
+
+
+def test_a_folder_that_cannot_be_made_costs_no_training(folder, load, caplog):
+    folder.rmdir()
+    folder.touch()
+    assert load(lambda: "compiled") == "compiled"
+    assert f"cannot keep programs in {folder}: " in caplog.text

@@ -24,6 +24,7 @@ from jax.experimental.compilation_cache import compilation_cache
 from hmasd_jax.runs.durable import replace
 from hmasd_jax.runs.folder import available_cores, exclusive
 
+LOGGER = logging.getLogger(__name__)
 T = TypeVar("T")
 CPUINFO = Path("/proc/cpuinfo")
 FEATURES = ("vendor_id", "cpu family", "model", "model name", "stepping", "flags", "Features")
@@ -100,16 +101,23 @@ def load_or_compile(
     setting = f"{describe_processor()} {len(available_cores())} {fast_to_compile}"
     key = digest_of([*texts, setting.encode()])
     record = Path(folder) / f"{key}.sha256"
-    if not record.exists():
-        with exclusive(record.with_suffix(".lock")):
-            if not record.exists():  # Another process may have written it meanwhile.
-                executables = compile_all()
-                replace(record, _digest_results(compute(executables)).encode())
-                return executables
+    executables = None
+    try:
+        if not record.exists():
+            with exclusive(record.with_suffix(".lock")):
+                if not record.exists():  # Another process may have written it meanwhile.
+                    executables = compile_all()
+                    replace(record, _digest_results(compute(executables)).encode())
+                    return executables
+        expected = record.read_text()
+    except OSError as error:  # The folder was deleted, or cannot be written.
+        reason = error.strerror or error
+        LOGGER.warning("warning: cannot keep programs in %s: %s", folder, reason)
+        return compile_all() if executables is None else executables
     executables = compile_all()
-    if record.read_text() == _digest_results(compute(executables)):
+    if expected == _digest_results(compute(executables)):
         return executables
-    logging.getLogger(__name__).warning(
+    LOGGER.warning(
         "warning: compiling anew, since programs kept in %s computed something else than when "
         "they were compiled; delete it",
         folder,
