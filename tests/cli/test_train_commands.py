@@ -238,6 +238,14 @@ def test_more_seeds_than_fit_into_memory_are_trained_in_batches(alone, tmp_path,
         assert ours == pytest.approx(theirs, rel=1e-5)
 
 
+def test_a_seed_whose_files_cannot_be_used_fails_alone(tmp_path):
+    job, _ = make_job(tmp_path / "run", placement="vmap")
+    metrics_path(job.run, 1).mkdir(parents=True)
+    results = train_seeds(job, [0, 1, 2])
+    assert [results[seed].kind for seed in range(3)] == ["finished", "failed", "finished"]
+    assert "seed_1" in results[1].data["message"]
+
+
 def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch):
     job, _ = make_job(tmp_path / "run", placement="vmap", total_env_steps=40)
     monkeypatch.setattr(host_memory, "seeds_at_once", lambda count, _: 2)

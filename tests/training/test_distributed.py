@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+import jax
 import pytest
 
 from hmasd_jax.cli.main import main
@@ -138,6 +139,20 @@ def test_a_process_that_never_reports_is_given_up_once_told_to_stop(tmp_path, mo
     }  # fmt: skip
     assert results[4].data == {"message": "process 1, which trains it, has not reported"}
     assert not list(tmp_path.iterdir())
+
+
+def test_a_process_that_an_error_ends_is_not_waited_for(tmp_path):
+    follower, leader = Group(index=1, size=2), Group(index=0, size=2)
+    error = jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory\nmore")
+    for group in (leader, follower):
+        with (
+            pytest.raises(jax.errors.JaxRuntimeError),
+            distributed.telling_failure(group, tmp_path, [1, 3]),
+        ):
+            raise error
+    results = distributed.gather(leader, tmp_path, list(range(4)), {}, bool)
+    assert [(seed, event.kind) for seed, event in results.items()] == [(1, "failed"), (3, "failed")]
+    assert results[1].data == {"message": "RESOURCE_EXHAUSTED: Out of memory"}
 
 
 def test_when_the_first_process_refuses_all_do(sweep, tmp_path):

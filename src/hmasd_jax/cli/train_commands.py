@@ -136,7 +136,7 @@ def run_seeds(
             report=report,
             should_stop=lambda: interrupted() or (watcher is not None and watcher.should_stop()),
         )
-        with display:
+        with display, distributed.telling_failure(group, run, mine):
             if placement == "workers":
                 results = run_workers(job, mine, worker_cores(len(mine)))
             else:

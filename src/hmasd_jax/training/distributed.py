@@ -14,7 +14,8 @@ import math
 import os
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -119,6 +120,22 @@ def leave(group: Group) -> None:
     """Disconnect the processes; all must call this. Then the end of one no longer ends others."""
     if group.size > 1:
         jax.distributed.shutdown()
+
+
+@contextmanager
+def telling_failure(group: Group, run: Path, seeds: list[int]) -> Iterator[None]:
+    """Tell the leader that an error has ended the training of this process, which then raises it.
+
+    Otherwise the leader would wait for the process without end.
+    """
+    try:
+        yield
+    except Exception as error:
+        if not group.leads:
+            message = (str(error).splitlines() or [type(error).__name__])[0]
+            events = [Event("failed", seed, {"message": message}) for seed in seeds]
+            write_json(_path(run, group.index), events)
+        raise
 
 
 def gather(

@@ -149,13 +149,12 @@ class Batch:
     def train(self) -> None:
         """Train to the end, to a stop or until all seeds have failed."""
         for seed in self.seeds:
-            seed.open(self.env_steps)
+            with _failing(self.job.run, [seed]):
+                seed.open(self.env_steps)
         if self.updates == 0:
             self._evaluate()
-        while self.updates < self.plan.num_updates and not self.job.should_stop():
+        while self.running and self._goes_on():
             self._advance()
-            if not self.running:
-                return
             if self.plan.is_due(self.plan.eval_every, self.updates):
                 self._evaluate()
             if self.plan.is_due(self.plan.checkpoint_every, self.updates):
@@ -165,6 +164,10 @@ class Batch:
             self._save()
         for _, seed in self.running:
             seed.end("finished" if finished else "interrupted", env_steps=self.env_steps)
+
+    def _goes_on(self) -> bool:
+        """Return True while there are updates to do and nobody has asked to stop."""
+        return self.updates < self.plan.num_updates and not self.job.should_stop()
 
     def _advance(self) -> None:
         """Run the updates up to the next stop and log their metrics."""
@@ -177,22 +180,25 @@ class Batch:
         rate = {"env_steps_per_second": count * self.plan.env_steps_per_update / seconds}
         metrics = _rows(sums)
         for row, seed in self.running:
-            if healthy[row]:
-                seed.write("train", self.env_steps, _pool(metrics[row], count) | rate)
-            else:
+            if not healthy[row]:
                 seed.fail(f"a loss or parameter was not finite at env step {self.env_steps}")
+                continue
+            with _failing(self.job.run, [seed]):
+                seed.write("train", self.env_steps, _pool(metrics[row], count) | rate)
 
     def _evaluate(self) -> None:
         """Evaluate the current states and log the results."""
         keys = [evaluation_key(self.job.config, index, self.env_steps) for index in self.indices]
         metrics = _rows(self.programs.evaluate(self.states, jnp.stack(keys)))
         for row, seed in self.running:
-            seed.write("eval", self.env_steps, metrics[row])
+            with _failing(self.job.run, [seed]):
+                seed.write("eval", self.env_steps, metrics[row])
 
     def _save(self) -> None:
         """Save a checkpoint of every seed."""
         for row, seed in self.running:
-            seed.save(self.env_steps, jax.tree.map(lambda x, row=row: x[row], self.states))
+            with _failing(self.job.run, [seed]):
+                seed.save(self.env_steps, jax.tree.map(lambda x, row=row: x[row], self.states))
 
 
 def _rows(metrics: dict[str, jax.Array]) -> list[dict[str, Any]]:
