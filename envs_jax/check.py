@@ -8,12 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Int
 
-from envs_jax.declared import count_events, describe_agents, locate_agents, name_actions
+from envs_jax.declared import count_events, locate_agents, name_actions
 from envs_jax.types import Environment, EnvState, TimeStep
 
 NUM_EPISODES = 16
 SIZES = ("num_agents", "num_actions", "obs_dim", "state_dim", "max_steps")
 METHODS = ("reset", "step", "render")
+TAKEN = {"kind", "seed", "env_steps", "wall_seconds", "return", "length", "episodes"}
+"""Names that records of training and evaluation have themselves."""
 
 
 class EnvironmentCheckError(AssertionError):
@@ -135,6 +137,9 @@ def _check_timestep_types(env: Environment, name: str, timestep: TimeStep) -> No
     info = timestep.info
     is_dict = isinstance(info, dict) and all(isinstance(name, str) for name in info)
     _require(is_dict, env, f"info of {name} must be a dict with strings as keys", info)
+    taken = sorted(TAKEN & info.keys())
+    requirement = f"info of {name} must not have {', '.join(sorted(TAKEN))}, which records have"
+    _require(not taken, env, requirement, taken)
     for field, leaf in info.items():
         is_scalar = getattr(leaf, "shape", None) == ()
         _require(is_scalar, env, f"info[{field!r}] of {name} must be a scalar", _describe(leaf))
@@ -261,8 +266,9 @@ def _check_render(env: Environment, key: jax.Array) -> None:
 def _check_declarations(env: Environment, key: jax.Array) -> None:
     """Check the names, events and places that the environment declares, if any."""
     agents = env.num_agents
-    names = [name for name, _ in describe_agents(env)]
-    _require(len(names) == agents, env, f"agent_names must have {agents} names", names)
+    for field, parts in (("agent_names", "names"), ("agent_colors", "colors")):
+        found = getattr(env, field, range(agents))
+        _require(len(found) == agents, env, f"{field} must have {agents} {parts}", found)
     names = name_actions(env)
     requirement = f"action_names must have {env.num_actions} names"
     _require(len(names) == env.num_actions, env, requirement, names)

@@ -35,8 +35,9 @@ def register(name: str, environment: type) -> None:
     Raises:
         ValueError: `environment` is not a frozen dataclass, or another environment has this name.
     """
-    is_dataclass = isinstance(environment, type) and dataclasses.is_dataclass(environment)
-    if not is_dataclass or environment.__hash__ is None:  # Algorithms are cached by it.
+    params = getattr(environment, "__dataclass_params__", None)
+    is_frozen = isinstance(environment, type) and params is not None and params.frozen
+    if not is_frozen or environment.__hash__ is None:  # Algorithms are cached by it.
         raise ValueError(f"{name}: an environment must be a frozen dataclass, got {environment!r}")
     if ENVIRONMENTS.setdefault(name, environment) is not environment:
         taken = ENVIRONMENTS[name].__qualname__

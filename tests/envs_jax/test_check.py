@@ -146,6 +146,12 @@ CASES = [
         _timestep=emits(info=lambda state, right: ()),
     ),
     broken(
+        "info of reset must not have env_steps, episodes, kind, length, return, seed, "
+        "wall_seconds, which records have; found ['length']",
+        _timestep=emits(info=lambda state, right: {"length": jnp.float32(0)}),
+    ),
+    broken("agent_colors must have 2 colors; found ((0, 0, 0),)", agent_colors=((0, 0, 0),)),
+    broken(
         "info['success'] of reset must be a scalar; found int32 (2,)",
         _timestep=emits(info=lambda state, right: {"success": state.action}),
     ),

@@ -82,6 +82,8 @@ def test_register():
         envs_jax.register("number", int)
     with pytest.raises(ValueError, match=r"must be a frozen dataclass, got .*Thawed"):
         envs_jax.register("thawed", dataclass(type("Thawed", (), {})))
+    with pytest.raises(ValueError, match=r"must be a frozen dataclass, got .*Thawed"):
+        envs_jax.register("thawed", dataclass(eq=False)(type("Thawed", (), {})))
 
 
 def test_package_stands_alone():

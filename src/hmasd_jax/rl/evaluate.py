@@ -23,11 +23,11 @@ def evaluate(env: Environment, policy: Policy, key: Key, num_episodes: int) -> M
     def at_end(x: Float[Array, "T E"]) -> Float[Array, ""]:
         return jnp.where(counted & outcome.done, x, 0.0).sum(0).mean()
 
-    return {
+    own = {
         "return": jnp.where(counted, outcome.reward, 0.0).sum(0).mean(),
         "length": counted.sum(0).astype(jnp.float32).mean(),
-        **{name: at_end(value) for name, value in outcome.info.items()},
     }
+    return own | {name: at_end(value) for name, value in outcome.info.items() if name not in own}
 
 
 def play(env: Environment, policy: Policy, key: Key, num_episodes: int) -> Transition:

@@ -48,13 +48,13 @@ class SeedRun:
             env_steps: Environment steps done.
             metrics: Numbers by name.
         """
-        record = {
+        own = {
             "kind": kind,
             "seed": self.index,
             "env_steps": env_steps,
             "wall_seconds": round(time.perf_counter() - self.started_at, 3),
-            **metrics,
         }
+        record = own | metrics | own  # An environment's info must not replace a field.
         for writer in self.writers:
             writer.write(record)
         self.job.report(Event(kind, self.index, record))
