@@ -233,8 +233,12 @@ class Overcooked:
         front = jnp.asarray(self.kitchen.front)[before.pose]
         interacts = by_player == INTERACT
         counts = count_uses(before.grid[front], after.grid[front], before.held, after.held)
-        counts = {name: (count & interacts).astype(jnp.float32) for name, count in counts.items()}
-        return {name: _reorder(count, swapped) for name, count in counts.items()}
+        counts = {name: count & interacts for name, count in counts.items()}
+        # Player 0 is first. A pot starts once, or by itself.
+        started, twice = counts["pot started"], front[0] == front[1]
+        started = started.at[1].set(started[1] & ~(started[0] & twice))
+        counts["pot started"] = started & (self.start_cooking == "interact")
+        return {name: _reorder(x.astype(jnp.float32), swapped) for name, x in counts.items()}
 
     def locate(self, env_state: OvercookedState) -> Float[Array, "agents 2"]:
         """Return the center of each agent's cell in the picture."""

@@ -14,6 +14,8 @@ import numpy as np
 from envs_jax.choices import show, suggest
 from envs_jax.overcooked.rules import COUNTER, DISHES, FLOOR, ONIONS, POT, SERVING
 
+LONGEST_SIDE = 128
+"""Most cells of a row or a column; coordinates are 8-bit."""
 LAYOUTS = {
     "cramped_room": """
 XXPXX
@@ -119,6 +121,10 @@ def read(layout: str) -> Kitchen:
 
 def _check(rows: list[str]) -> None:
     """Raise a `ValueError` unless two players can cook in this kitchen."""
+    if max(len(rows), len(rows[0])) > LONGEST_SIDE:
+        raise ValueError(
+            f"layout: {len(rows)} x {len(rows[0])} cells; a side has at most {LONGEST_SIDE}"
+        )
     for number, row in enumerate(rows, 1):
         if unknown := set(row) - set(STATES):
             raise ValueError(

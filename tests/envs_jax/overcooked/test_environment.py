@@ -147,7 +147,7 @@ def at_one_pot(rule, held, pot):
     """Let both cooks use the pot (4, 2) of asymmetric_advantages.
 
     Returns:
-        The items that they then hold, and the state of the pot.
+        The items that they then hold, the state of the pot, and who has started it.
     """
     env = Overcooked("asymmetric_advantages", rule, random_seats=False)
     start, _ = env.reset(KEY)
@@ -157,22 +157,32 @@ def at_one_pot(rule, held, pot):
         held=jnp.array(held, jnp.int32),
         grid=start.grid.at[9 * 2 + 4].set(pot),
     )
-    after, _ = env.step(KEY, facing, jnp.array([INTERACT, INTERACT]))
-    return after.held.tolist(), after.grid[9 * 2 + 4].item()
+    action = jnp.array([INTERACT, INTERACT])
+    after, _ = env.step(KEY, facing, action)
+    starts = env.events(facing, action, after)["pot started"]
+    return after.held.tolist(), after.grid[9 * 2 + 4].item(), starts.tolist()
 
 
 def test_player_0_is_first_at_a_pot():
     both = at_one_pot("interact", (ONION, ONION), POT + 1)
-    assert both == ([NOTHING, NOTHING], POT + 3)
-    assert at_one_pot("interact", (ONION, ONION), POT + 2) == ([NOTHING, ONION], POT + 3)
+    assert both == ([NOTHING, NOTHING], POT + 3, [0, 0])
+    both = at_one_pot("interact", (ONION, ONION), POT + 2)
+    assert both == ([NOTHING, ONION], POT + 3, [0, 0])
     # A pot started by player 0 takes no more onions. One filled by player 0 is started by player 1.
     started = at_one_pot("interact", (NOTHING, ONION), POT + 1)
-    assert started == ([NOTHING, ONION], pot_state(1, 1))
+    assert started == ([NOTHING, ONION], pot_state(1, 1), [1, 0])
     started = at_one_pot("interact", (ONION, NOTHING), POT + 1)
-    assert started == ([NOTHING, NOTHING], pot_state(2, 1))
+    assert started == ([NOTHING, NOTHING], pot_state(2, 1), [0, 1])
+    started = at_one_pot("interact", (NOTHING, NOTHING), POT + 2)
+    assert started == ([NOTHING, NOTHING], pot_state(2, 1), [1, 0])
+    # A full pot starts by itself.
+    full = at_one_pot("auto", (ONION, NOTHING), POT + 2)
+    assert full == ([NOTHING, NOTHING], pot_state(3, 1), [0, 0])
     # The soup goes to player 0, and player 1 fills the empty pot.
-    assert at_one_pot("auto", (DISH, DISH), pot_state(3, 20)) == ([SOUP + 3, DISH], POT)
-    assert at_one_pot("auto", (DISH, ONION), pot_state(3, 20)) == ([SOUP + 3, NOTHING], POT + 1)
+    served = at_one_pot("auto", (DISH, DISH), pot_state(3, 20))
+    assert served == ([SOUP + 3, DISH], POT, [0, 0])
+    served = at_one_pot("auto", (DISH, ONION), pot_state(3, 20))
+    assert served == ([SOUP + 3, NOTHING], POT + 1, [0, 0])
 
 
 @pytest.mark.parametrize(("rule", "onions"), [("interact", n) for n in (1, 2, 3)] + [("auto", 3)])

@@ -98,6 +98,7 @@ def test_own_kitchen():
         ("cramped_rom", "layout 'cramped_rom' is unknown (did you mean cramped_room?)"),
         ("kitchen", "layout 'kitchen' is unknown (known: cramped_room, "),
         ("XXPXX\nO1T2D\nXXSXX", "layout: unknown letter 'T' in row 2; a cell is X counter, "),
+        ("X" * 129 + "\nX", "layout: 2 x 129 cells; a side has at most 128"),
         ("XXPXX\nO1 2\nXXSXX", "layout: row 2 has 4 cells, row 1 has 5; make all rows equally"),
         ("XXPXX\nO1  D\nXXSXX", "layout: '2' occurs 0 times; write exactly one 1 and one 2 for"),
         ("XXPXX\nO121D\nXXSXX", "layout: '1' occurs 2 times; write exactly one 1 and one 2 for"),
