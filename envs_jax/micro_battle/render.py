@@ -35,8 +35,7 @@ Box = tuple[float, float, float, float]
 
 def bounds(floor: tuple) -> Box:
     """Return the part of the map that the picture shows."""
-    left = max(min(r[0] for r in floor) - MARGIN, -MARGIN)
-    bottom = min(r[1] for r in floor) - MARGIN
+    left, bottom = (min(r[side] for r in floor) - MARGIN for side in (0, 1))
     return left, bottom, max(r[2] for r in floor) + MARGIN, max(r[3] for r in floor) + MARGIN
 
 

@@ -35,8 +35,8 @@ class Scenario:
 
     Raises:
         ValueError: A side has no units, a unit is unknown, there is no floor on the map, a unit
-            starts in a wall or in another unit, a goal is in a wall, there are more than two goals,
-            or `size`, `max_steps` or `jitter` is out of range.
+            starts in a wall or at the place of another, a goal is in a wall, there are more than
+            two goals, or `size`, `max_steps` or `jitter` is out of range.
     """
 
     allies: tuple[Spawn, ...]

@@ -220,6 +220,8 @@ def test_the_server_drives(server):
     assert (status, text) == (400, "error: team skill must be between 0 and 1, got 7")
     status, text = ask(server, "/drive", "POST", **form | {"skill0": "x"})
     assert (status, text) == (400, "error: skills must be whole numbers, got x, , ")
+    status, text = ask(server, "/drive", "POST", **form | {"skill0": "9" * 5000})
+    assert (status, text) == (400, f"error: skills must be whole numbers, got {'9' * 20}, , ")
     assert "Step 0, return 0." in ask(server, "/drive", "POST", act="restart")[1]
 
 

@@ -22,7 +22,7 @@ from hmasd_jax.runs.checkpoint import CheckpointError, latest_step
 from hmasd_jax.runs.folder import RunError, checkpoint_folder, metrics_path, read_config, seeds_of
 from hmasd_jax.search.study import is_search, read_search
 from hmasd_jax.search.tables import count_states
-from hmasd_jax.validation import ConfigError
+from hmasd_jax.validation import ConfigError, parse_index
 
 if TYPE_CHECKING:
     from starlette.applications import Starlette
@@ -35,7 +35,7 @@ content="width=device-width"><meta name="color-scheme" content="light dark"><tit
 LOOK_EVERY = 2.0
 """Seconds between two looks for new records and checkpoints."""
 LARGEST_FORM = 10_000
-"""Bytes of a form that are read at most."""
+"""Bytes of a form that are used at most."""
 EXPECTED = (RunError, CheckpointError, ConfigError)
 """Errors whose message is one line with the remedy."""
 
@@ -177,9 +177,10 @@ def answer_form(driver: Driver, form: dict[str, list[str]]) -> None:
         driver.restart()
         return
     words = [form.get(f"skill{token}", [""])[0] for token in range(driver.num_tokens)]
-    if any(word and not word.isdecimal() for word in words):
-        raise ConfigError(f"skills must be whole numbers, got {', '.join(words)}")
-    driver.play([int(word) if word else None for word in words])
+    skills = [parse_index(word) if word else None for word in words]
+    if any(word and skill is None for word, skill in zip(words, skills)):
+        raise ConfigError(f"skills must be whole numbers, got {', '.join(w[:20] for w in words)}")
+    driver.play(skills)
 
 
 def bind(port: int) -> socket.socket:

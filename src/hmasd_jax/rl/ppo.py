@@ -67,7 +67,8 @@ class PPOConfig:
                 f"num_envs x rollout_length must be at most {LARGEST}, got {self.num_envs} x "
                 f"{self.rollout_length}"
             )
-        check_range(self, "decay_updates", "average_updates", low=0)
+        check_range(self, "decay_updates", low=0, high=10**6)
+        check_range(self, "average_updates", low=0, high=10**4)  # Decays are float32.
         check_range(self, "learning_rate", "clip_epsilon", low=0)
         check_range(self, "adam_epsilon", "max_grad_norm", low=SMALLEST)
         check_range(self, "value_coef", "huber_delta", low=0)
