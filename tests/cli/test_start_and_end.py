@@ -1,4 +1,4 @@
-"""What training says when it starts and when it ends."""
+"""Texts at the start and at the end of training."""
 
 from pathlib import Path
 
