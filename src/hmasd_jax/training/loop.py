@@ -153,8 +153,10 @@ class Batch:
                 seed.open(self.env_steps)
         if self.updates == 0:
             self._evaluate()
-        while self.running and self._goes_on():
+        while self.running and self.updates < self.plan.num_updates and not self.job.should_stop():
             self._advance()
+            if not self.running:
+                return
             if self.plan.is_due(self.plan.eval_every, self.updates):
                 self._evaluate()
             if self.plan.is_due(self.plan.checkpoint_every, self.updates):
@@ -164,10 +166,6 @@ class Batch:
             self._save()
         for _, seed in self.running:
             seed.end("finished" if finished else "interrupted", env_steps=self.env_steps)
-
-    def _goes_on(self) -> bool:
-        """Return True while there are updates to do and nobody has asked to stop."""
-        return self.updates < self.plan.num_updates and not self.job.should_stop()
 
     def _advance(self) -> None:
         """Run the updates up to the next stop and log their metrics."""
