@@ -20,8 +20,8 @@ class AlgorithmEntry(NamedTuple):
     """Entry of the registry that configuration files and command lines use."""
 
     config: type
-    """Class of its settings: a frozen dataclass. One of its fields has `num_envs` and
-    `rollout_length`, e.g. `ppo`."""
+    """Class of its settings: a frozen dataclass that no other entry has, since it names the
+    algorithm. One of its fields has `num_envs` and `rollout_length`, e.g. `ppo`."""
     make: Callable[[Environment, Any], Algorithm]
     """`make(env, config)`."""
 

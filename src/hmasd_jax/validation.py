@@ -4,7 +4,8 @@ import json
 import math
 import re
 import tomllib
-from typing import Any
+import types
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 LARGEST = 2**31 - 1
 """Largest count, since counters and indices of arrays have 32 bits."""
@@ -48,6 +49,38 @@ def check_range(
         else:
             wanted = f"at most {limit}" if value > limit else f"at least {low}"
         raise ValueError(f"{name} must be {wanted}, got {_show(value)}")
+
+
+def check_types(settings: Any) -> None:
+    """Check that fields have the types that they are annotated with; for use in `__post_init__`.
+
+    Files and command lines are converted before. This finds the mistakes of Python code.
+
+    Raises:
+        ValueError: A field has another type; the message begins with its name.
+    """
+    for name, kind in get_type_hints(type(settings)).items():
+        value = getattr(settings, name)
+        if not _is_a(value, kind):
+            if get_origin(kind) is Literal:
+                wanted = " or ".join(map(str, get_args(kind)))
+            else:
+                wanted = kind.__name__ if isinstance(kind, type) else str(kind)
+            raise ValueError(f"{name} must be {wanted}, got {_show(value)}")
+
+
+def _is_a(value: Any, kind: Any) -> bool:
+    """Return whether a value has an annotated type. An int is a float, and a bool is no number."""
+    origin, options = get_origin(kind), get_args(kind)
+    if origin is Literal:
+        return value in options
+    if origin in (Union, types.UnionType):
+        return any(_is_a(value, option) for option in options)
+    if origin is tuple:
+        return isinstance(value, tuple) and all(_is_a(item, options[0]) for item in value)
+    if kind in (int, float):
+        return isinstance(value, (int, kind)) and not isinstance(value, bool)
+    return isinstance(value, kind) if isinstance(kind, type) else True
 
 
 def _show(value: Any) -> str:

@@ -26,7 +26,7 @@ from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.sgd import make_optimizer, ppo_epochs
 from hmasd_jax.rl.value_norm import ValueNorm
 from hmasd_jax.types import Algorithm, EnvCarry, Key, Learner, Metrics, Policy, Transition
-from hmasd_jax.validation import check_divides, check_range
+from hmasd_jax.validation import check_divides, check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class MATConfig:
     """Optimization settings. MAT has no memory and ignores `sequence_length`."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "entropy_coef", low=0)
         check_range(self, "num_heads", low=1)
         check_range(self, "num_blocks", low=1, high=100)

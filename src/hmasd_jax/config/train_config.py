@@ -10,15 +10,16 @@ from typing import Any, Generic, Literal, TypeVar
 from envs_jax import Environment
 from envs_jax.alice_and_bob import AliceAndBob
 from envs_jax.choices import show, suggest
-from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.config.from_table import Text, from_table
+from hmasd_jax.config.names import find_algorithm, find_env, name_of_algorithm, name_of_env
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.types import Algorithm
 from hmasd_jax.validation import (
     LARGEST,
     ConfigError,
     check_range,
+    check_types,
     parse_json,
     parse_toml,
 )
@@ -70,6 +71,7 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
     several. The placement does not change the files of a run."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         intervals = ("eval_interval", "log_interval", "checkpoint_interval")
         check_range(self, "total_env_steps", *intervals, low=1, high=2**62)
         check_range(self, "eval_episodes", low=1, high=1_000_000)
@@ -100,8 +102,13 @@ class TrainConfig(Generic[EnvT, AlgorithmT]):
 
 def _rollout_part(algorithm: Any) -> str:
     """Return the name of the settings that say how long a rollout is, e.g. `ppo`."""
-    names = [field.name for field in dataclasses.fields(algorithm)]
-    return next(name for name in names if hasattr(getattr(algorithm, name), "rollout_length"))
+    for field_ in dataclasses.fields(algorithm):
+        if hasattr(getattr(algorithm, field_.name), "rollout_length"):
+            return field_.name
+    raise ValueError(
+        f"algorithm must have a field with num_envs and rollout_length, and "
+        f"{type(algorithm).__name__} has none: add one, e.g. `ppo: PPOConfig`"
+    )
 
 
 def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = None) -> TrainConfig:
@@ -160,9 +167,8 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
     """
     table = _rename(table)
     env, algorithm = subtable(table, "env"), subtable(table, "algorithm")
-    env_type = _find(env.pop("name", DEFAULT_NAMES["env"]), ENVIRONMENTS, "env.name")
-    name = algorithm.pop("name", DEFAULT_NAMES["algorithm"])
-    entry = _find(name, ALGORITHMS, "algorithm.name")
+    env_type = find_env(env.pop("name", DEFAULT_NAMES["env"]))
+    entry = find_algorithm(algorithm.pop("name", DEFAULT_NAMES["algorithm"]))
     built = {
         "env": from_table(env_type, env, "env"),
         "algorithm": from_table(entry.config, algorithm, "algorithm"),
@@ -193,13 +199,31 @@ def change(config: TrainConfig, values: Mapping[str, Any]) -> TrainConfig:
 
 
 def to_json(config: TrainConfig) -> dict[str, Any]:
-    """Return a configuration as nested JSON values, with names of environment and algorithm."""
+    """Return a configuration as nested JSON values, with names of environment and algorithm.
+
+    Raises:
+        ConfigError: A class is not registered, or a value has a type that JSON lacks.
+    """
     table = dataclasses.asdict(config)
-    env_name = _name_of(type(config.env), ENVIRONMENTS)
-    configs = {name: entry.config for name, entry in ALGORITHMS.items()}
+    env_name, algorithm_name = (
+        name_of_env(type(config.env)),
+        name_of_algorithm(type(config.algorithm)),
+    )
     table["env"] = {"name": env_name, **table["env"]}
-    table["algorithm"] = {"name": _name_of(type(config.algorithm), configs), **table["algorithm"]}
-    return json.loads(json.dumps(table))  # Tuples become lists, as on disk.
+    table["algorithm"] = {"name": algorithm_name, **table["algorithm"]}
+    for name, value in _flatten(table).items():
+        try:
+            json.dumps(value, default=_write_path)
+        except TypeError as error:
+            raise ConfigError(f"{name} cannot be written to config.json: {error}") from error
+    return json.loads(json.dumps(table, default=_write_path))  # Tuples become lists, as on disk.
+
+
+def _write_path(value: Any) -> str:
+    """Return a path as JSON has it. Values of other types have no form there."""
+    if isinstance(value, Path):
+        return str(value)
+    raise TypeError(f"{show(value)} is neither a number, text, list nor path")
 
 
 def identity(table: dict[str, Any]) -> dict[str, Any]:
@@ -231,10 +255,8 @@ def build(config: TrainConfig) -> tuple[Environment, Algorithm]:
         ConfigError: The algorithm's settings are of an unregistered class, or do not fit the
             environment.
     """
-    for entry in ALGORITHMS.values():
-        if entry.config is type(config.algorithm):
-            return config.env, entry.make(config.env, config.algorithm)
-    raise ConfigError(f"{type(config.algorithm).__name__} belongs to no algorithm in ALGORITHMS")
+    entry = ALGORITHMS[name_of_algorithm(type(config.algorithm))]
+    return config.env, entry.make(config.env, config.algorithm)
 
 
 def read_table(path: Path) -> dict[str, Any]:
@@ -268,17 +290,3 @@ def subtable(table: Mapping[str, Any], name: str) -> dict[str, Any]:
             f'{name} must be a table with a name, e.g. [{name}] name = "...", got {show(section)}'
         )
     return dict(section)
-
-
-def _find(name: Any, registry: Mapping[str, Any], path: str) -> Any:
-    if not (isinstance(name, str) and name in registry):
-        raise ConfigError(f"unknown {path} {show(name)}{suggest(name, registry)}")
-    return registry[name]
-
-
-def _name_of(cls: type, registry: Mapping[str, type]) -> str:
-    """Return the name under which `cls` is registered."""
-    for name, registered in registry.items():
-        if registered is cls:
-            return name
-    raise ConfigError(f"{cls.__name__} is not registered: add it to {', '.join(registry)}")

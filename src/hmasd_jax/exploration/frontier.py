@@ -44,7 +44,7 @@ from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, always_one
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,7 @@ class FrontierConfig:
     ended."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "coef", "largest_worth", low=0)
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)

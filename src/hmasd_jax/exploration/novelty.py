@@ -21,7 +21,7 @@ from hmasd_jax.rl import rollout as rollouts
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.rl.sgd import sgd_epochs
 from hmasd_jax.types import Key, Learner
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import check_range, check_types
 
 CLIP = 5.0
 """Largest standardized input, as in the reference."""
@@ -41,6 +41,7 @@ class NoveltyConfig:
     """Step size of Adam for the predictor."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "coef", "learning_rate", low=0)
         check_range(self, "epochs", low=1)
 

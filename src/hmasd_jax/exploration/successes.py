@@ -22,7 +22,7 @@ from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.rollout import cut
 from hmasd_jax.rl.sgd import gradient_step
 from hmasd_jax.types import Key, Learner, Metrics, Transition
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,7 @@ class ImitationConfig:
         return self.steps if self.coef else 0
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "coef", low=0)
         check_range(self, "steps", "capacity", low=1)
         # With more, two sequences of one rollout would go to the same slot.

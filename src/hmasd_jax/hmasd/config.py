@@ -11,7 +11,13 @@ from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.networks.recurrent import SkillAt
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.validation import check_divides, check_indices, check_multiple, check_range
+from hmasd_jax.validation import (
+    check_divides,
+    check_indices,
+    check_multiple,
+    check_range,
+    check_types,
+)
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
 
@@ -112,6 +118,7 @@ class HMASDConfig:
     """Optimization settings of both levels."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         ppo = self.ppo
         ppo.check_sequences()
         check_range(self, "skill_interval", low=1)

@@ -22,7 +22,7 @@ from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.rl.sgd import sgd_epochs
 from hmasd_jax.types import Key, Learner, Metrics
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import check_range, check_types
 
 CLIP = 3.0
 """Largest standardized input."""
@@ -48,6 +48,7 @@ class DistanceConfig:
     """Step size of Adam for phi and the multipliers."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "individual_coef", "team_coef", "learning_rate", low=0)
         check_range(self, "epochs", low=1)
 

@@ -7,7 +7,14 @@ import optax
 from jaxtyping import Array, Bool, Float
 
 from hmasd_jax.types import Metrics
-from hmasd_jax.validation import LARGEST, SMALLEST, check_divides, check_multiple, check_range
+from hmasd_jax.validation import (
+    LARGEST,
+    SMALLEST,
+    check_divides,
+    check_multiple,
+    check_range,
+    check_types,
+)
 
 
 @dataclass(frozen=True)
@@ -59,6 +66,7 @@ class PPOConfig:
         return self.num_epochs * self.num_minibatches
 
     def __post_init__(self) -> None:
+        check_types(self)
         counts = ("num_envs", "rollout_length", "num_epochs", "num_minibatches")
         check_range(self, *counts, "sequence_length", low=1)
         check_range(self, "hidden_size", low=1, high=2**16)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from hmasd_jax.rl.ppo import PPOConfig
-from hmasd_jax.validation import check_indices, check_range
+from hmasd_jax.validation import check_indices, check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -19,6 +19,7 @@ class LocalStateConfig:
     """Slots in each of the two rows of the table that holds all counts, 4 bytes each."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_indices(self, "features")
         check_range(self, "resolution", low=1e-6)
         check_range(self, "table_size", low=2, high=2**28)
@@ -44,6 +45,7 @@ class InfluenceConfig:
     """Optimization settings."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "entropy_coef", "curiosity_coef", low=0)
         self.ppo.check_sequences()
 

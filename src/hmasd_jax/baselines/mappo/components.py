@@ -17,7 +17,7 @@ from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMe
 from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 from hmasd_jax.rl.sgd import make_optimizer
-from hmasd_jax.validation import check_range
+from hmasd_jax.validation import check_range, check_types
 
 
 @dataclass(frozen=True)
@@ -53,6 +53,7 @@ class MAPPOConfig:
     """Optimization settings."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "entropy_coef", low=0)
         check_range(self, "sharpening", low=0)
         check_range(self, "solved_step_factor", low=0, high=1)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from typing import Literal
 
-from hmasd_jax.validation import SMALLEST, check_range
+from hmasd_jax.validation import SMALLEST, check_range, check_types
 
 MASERVariant = Literal["released", "paper"]
 
@@ -51,6 +51,7 @@ class QLearningConfig:
     """Width of the agents' network and of its memory."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "num_envs", "rollout_length", "gradient_steps", "batch_size", low=1)
         check_range(self, "buffer_size", "target_interval", low=1)
         check_range(self, "hidden_size", low=1, high=2**16)
@@ -71,6 +72,9 @@ class VDNConfig:
     q_learning: QLearningConfig = field(default_factory=QLearningConfig)
     """Settings of replay and optimization."""
 
+    def __post_init__(self) -> None:
+        check_types(self)
+
 
 @dataclass(frozen=True)
 class QMIXConfig:
@@ -82,6 +86,7 @@ class QMIXConfig:
     """Settings of replay and optimization."""
 
     def __post_init__(self) -> None:
+        check_types(self)
         check_range(self, "mixing_size", low=1)
 
 
