@@ -13,6 +13,7 @@ import traceback
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -179,17 +180,12 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
     def should_stop() -> bool:
         return terminated() or pipe.poll()
 
-    config = from_json(table)
-    env, algorithm = build(config)
-    job = Job(
-        run=run,
-        config=config,
-        env=env,
-        algorithm=algorithm,
-        loggers=loggers,
-        report=report,
-        should_stop=should_stop,
-    )
+    @cache
+    def make_job() -> Job:
+        config = from_json(table)
+        env, algorithm = build(config)
+        return Job(run, config, env, algorithm, loggers, report, should_stop)
+
     while True:
         try:
             index = pipe.recv()
@@ -201,10 +197,12 @@ def work(pipe: Connection, run: Path, table: dict, loggers: tuple[str, ...], cor
             report(Event("interrupted", index, {}))
             continue
         try:
-            train_seeds(job, [index])
+            # An environment that only the parent has registered fails here, as that seed's error.
+            train_seeds(make_job(), [index])
         except Exception as error:
             path = seed_folder(run, index) / "error.txt"
             with suppress(OSError):
+                path.parent.mkdir(exist_ok=True)
                 path.write_text(traceback.format_exc())
             summary = str(error).splitlines()[0] if str(error) else type(error).__name__
             report(Event("failed", index, {"message": f"{summary} (see {path})"}))
