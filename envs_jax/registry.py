@@ -39,9 +39,12 @@ def register(name: str, environment: type) -> None:
     is_frozen = isinstance(environment, type) and params is not None and params.frozen
     if not is_frozen or environment.__hash__ is None:  # Algorithms are cached by it.
         raise ValueError(f"{name}: an environment must be a frozen dataclass, got {environment!r}")
-    if ENVIRONMENTS.setdefault(name, environment) is not environment:
-        taken = ENVIRONMENTS[name].__qualname__
-        raise ValueError(f"the name {name!r} is already taken by {taken}; choose another one")
+    taken = ENVIRONMENTS.get(name, environment)
+    if (taken.__module__, taken.__qualname__) != (environment.__module__, environment.__qualname__):
+        raise ValueError(
+            f"the name {name!r} is already taken by {taken.__qualname__}; choose another one"
+        )
+    ENVIRONMENTS[name] = environment  # A cell of a notebook defines its class anew when run again.
 
 
 def make(name: str, **overrides: Any) -> Environment:

@@ -71,8 +71,12 @@ class Algorithm(NamedTuple):
     """A learning algorithm as three pure functions, all of which jit and vmap (over seeds)."""
 
     init: Callable[[Key], Any]
-    """`init(key)`: the whole train state, one pytree. It has a field `num_updates`."""
+    """`init(key)`: the whole train state, one pytree."""
     update: Callable[[Any], tuple[Any, Metrics]]
-    """`update(state)`: one rollout and all learning from it. Metrics are float scalars."""
+    """`update(state)`: one rollout and all learning from it. Metrics are float scalars. Those of
+    `rl.rollout.rollout_metrics` are among them."""
     policy: Callable[..., Policy]
-    """`policy(state, greedy=True)`: act by arg-max (the paper's evaluation) or by sampling."""
+    """`policy(state, greedy=True)`: act by arg-max (the paper's evaluation) or by sampling.
+
+    An algorithm whose settings have `num_team_skills` and `num_skills` takes `skills` and
+    `allowed`, too, as `hmasd.policy.make_policy` does. Reports and films hold skills by them."""

@@ -114,6 +114,16 @@ def test_without_an_episode_there_is_no_success():
     assert pooled == {"episodes": 0.0, "loss": 1.5}
 
 
+def test_an_outcome_with_the_name_of_a_metric_keeps_both():
+    pooled = loop._pool({"episodes": 2.0, "episode_sum/entropy": 6.0, "entropy": 3.0}, 2)
+    assert pooled == {"episodes": 2.0, "episode/entropy": 3.0, "entropy": 1.5}
+
+
+def test_an_algorithm_that_counts_no_episodes_is_told_so():
+    with pytest.raises(ValueError, match=r"update must return the metrics of rl.rollout.rollout_m"):
+        loop._pool({"loss": 3.0}, 2)
+
+
 @pytest.mark.parametrize("placement", ["workers", "vmap", "map", "sharded"])
 def test_seed_of_a_sweep_is_the_same_run_as_alone(alone, placement, tmp_path):
     command = [sys.executable, toy.__file__, "seed_sweep", "--run-dir", str(tmp_path / "run")]

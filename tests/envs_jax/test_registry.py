@@ -74,6 +74,11 @@ def test_register():
 
     envs_jax.register("mine", Mine)
     envs_jax.register("mine", Mine)  # A second time is allowed, because notebooks run cells twice.
+    again = dataclass(frozen=True)(type("Mine", (), {"__qualname__": Mine.__qualname__}))
+    assert again.__module__ == Mine.__module__
+    envs_jax.register("mine", again)  # So is the class as the cell defines it when run again.
+    assert isinstance(envs_jax.make("mine"), again)
+    envs_jax.register("mine", Mine)
     assert "mine" in envs_jax.names()
     assert envs_jax.make("mine", speed=2) == Mine(2)
     with pytest.raises(ValueError, match=r"the name 'mine' is already taken by .*Mine; choose"):

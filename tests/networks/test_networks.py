@@ -204,6 +204,13 @@ def _net(skill_at, gain=1.0, num_outputs=3):
     return net, init(net, memory, x, first, np.zeros((TIME, BATCH), int)), (memory, x, first)
 
 
+def test_a_skill_needs_a_number_of_skills():
+    memory, x, first = _sequence(INPUTS)
+    skill = np.zeros((TIME, BATCH), int)
+    with pytest.raises(ValueError, match="num_skills must be above 0 with a skill, got 0"):
+        init(RecurrentNet(3, SIZE, 1.0), memory, x, first, skill)
+
+
 def test_recurrent_net_is_mlp_gru_norm_head_and_carries_the_memory_unnormalized():
     net, params, (memory, x, first) = _net("last_layer")
     params = randomize(params)

@@ -176,5 +176,6 @@ class HMASDConfig:
 
 
 def count_skills(config: Any) -> tuple[int, int]:
-    """Return n_Z and n_z of an algorithm's settings, or zeros if it has no skills."""
-    return getattr(config, "num_team_skills", 0), getattr(config, "num_skills", 0)
+    """Return n_Z and n_z of an algorithm's settings, or zeros if it lacks either kind of skill."""
+    counts = getattr(config, "num_team_skills", 0), getattr(config, "num_skills", 0)
+    return counts if all(counts) else (0, 0)

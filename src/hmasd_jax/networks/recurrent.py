@@ -76,7 +76,13 @@ class RecurrentNet(nn.Module):
         first: Bool[Array, "time *batch"],
         skill: Int[Array, "time *batch"] | None = None,
     ) -> tuple[Float[Array, "*batch hidden"], Float[Array, "time *batch outputs"]]:
-        """Run over `time` steps. Return the last memory and the outputs of every step."""
+        """Run over `time` steps. Return the last memory and the outputs of every step.
+
+        Raises:
+            ValueError: There is a skill, and `num_skills` is 0.
+        """
+        if skill is not None and self.num_skills < 1:
+            raise ValueError(f"num_skills must be above 0 with a skill, got {self.num_skills}")
         size, steps = self.hidden_size, first.shape
         condition = None if skill is None else jax.nn.one_hot(skill, self.num_skills)
         if condition is not None and self.skill_at == "input":

@@ -209,14 +209,21 @@ def _pool(sums: dict[str, float], count: int) -> dict[str, float]:
     """Average the metrics of `count` updates.
 
     Outcomes of episodes are means over all episodes that ended in these updates, and absent if none
-    did. All other metrics are means over the updates.
+    did. All other metrics are means over the updates. An outcome with the name of one of these gets
+    `episode/` before it.
+
+    Raises:
+        ValueError: The algorithm does not count its episodes.
     """
+    if "episodes" not in sums:
+        raise ValueError("update must return the metrics of rl.rollout.rollout_metrics, too")
     episodes = sums["episodes"]
     pooled = {"episodes": episodes}
     for name, value in sums.items():
         if name.startswith("episode_sum/"):
+            own = name.removeprefix("episode_sum/")
             if episodes:
-                pooled[name.removeprefix("episode_sum/")] = value / episodes
+                pooled[f"episode/{own}" if own in sums else own] = value / episodes
         elif name != "episodes":
             pooled[name] = value / count
     assert all(map(math.isfinite, pooled.values()))
