@@ -259,10 +259,22 @@ def test_a_seed_whose_files_cannot_be_used_fails_alone(tmp_path):
 def test_a_stop_between_batches_spares_the_seeds_that_wait(tmp_path, monkeypatch):
     job, _ = make_job(tmp_path / "run", placement="vmap", total_env_steps=40)
     monkeypatch.setattr(host_memory, "seeds_at_once", lambda count, _: 2)
-    asked = iter([False, True])  # Before the only stretch of seeds 0 and 1, then before seed 2.
+    # Before compiling, before the only stretch of seeds 0 and 1, then before seed 2.
+    asked = iter([False, False, True])
     results = train_seeds(job._replace(should_stop=lambda: next(asked)), [0, 1, 2])
     assert [results[seed].kind for seed in range(3)] == ["finished", "finished", "interrupted"]
     assert not metrics_path(job.run, 2).exists()
+
+
+def test_a_stop_spares_groups_that_wait_the_compilation(tmp_path, monkeypatch):
+    job, _ = make_job(tmp_path / "run", placement="vmap", total_env_steps=40)
+    train_seeds(job, [0])  # Now seeds 1 and 2 form a group of their own, which goes first.
+    job, events = make_job(tmp_path / "longer", placement="vmap", total_env_steps=80)
+    shutil.copytree(job.run.parent / "run/seed_0", job.run / "seed_0")
+    monkeypatch.setattr(loop, "_programs", None)
+    results = train_seeds(job._replace(should_stop=lambda: True), [0, 1, 2])
+    assert {result.kind for result in results.values()} == {"interrupted"}
+    assert "compiling" not in [event.kind for event in events]
 
 
 def test_tensorboard_files_on_request(tmp_path):

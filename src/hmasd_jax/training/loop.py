@@ -75,14 +75,14 @@ def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
             seed.report("start", env_steps=env_steps)
             seed.end("finished", env_steps=env_steps)
         return
+    if job.should_stop():
+        return _interrupt(seeds, env_steps)
     job.report(Event("compiling", seeds[0].index, {}))
     size = host_memory.seeds_at_once(len(seeds), lambda n: _programs(job, n).memory_bytes)
     for first in range(0, len(seeds), size):
         batch = seeds[first : first + size]
         if first and job.should_stop():
-            for seed in batch:
-                seed.end("interrupted", env_steps=env_steps)
-            continue
+            return _interrupt(seeds[first:], env_steps)
         for seed in batch:
             seed.report("start", env_steps=env_steps)
         programs = _programs(job, size)
@@ -95,6 +95,12 @@ def _train_group(job: Job, seeds: list[SeedRun], env_steps: int) -> None:
                 peak_bytes=host_memory.predicted_peak(memory_bytes),
             )
         Batch(job, programs, batch, env_steps).train()
+
+
+def _interrupt(seeds: list[SeedRun], env_steps: int) -> None:
+    """End seeds that have not begun as interrupted, without compiling for them."""
+    for seed in seeds:
+        seed.end("interrupted", env_steps=env_steps)
 
 
 def _programs(job: Job, num_seeds: int) -> Programs:
