@@ -25,7 +25,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.measure import text
-from hmasd_jax.cli.summary import LAST, main_metric
+from hmasd_jax.analysis.learning import LAST, main_metric
 from hmasd_jax.runs import metrics_log
 from hmasd_jax.runs.folder import RunError, metrics_path, seeds_of
 
@@ -39,7 +39,7 @@ LEAST = 0.05
 
 
 class Curve(NamedTuple):
-    """Evaluations of one seed."""
+    """Evaluations of one seed, without that of the untrained policy."""
 
     env_steps: list[int]
     values: list[float]
@@ -102,7 +102,7 @@ def recorded() -> Iterator[Row]:
             continue
         steps = record["env_steps"]
         curves = [
-            Curve(steps, values, [seconds * step / steps[-1] for step in steps])
+            Curve(steps[1:], values[1:], [seconds * step / steps[-1] for step in steps[1:]])
             for values, seconds in zip(record["values"], record["wall_seconds"])
         ]
         yield solve(path.relative_to(ROOT / "results").with_suffix("").as_posix(), curves)
@@ -116,7 +116,8 @@ def measured(run: Path) -> Row:
     """
     curves = []
     for seed in seeds_of(run):
-        records = [r for r in metrics_log.read(metrics_path(run, seed)) if r["kind"] == "eval"]
+        records = metrics_log.read(metrics_path(run, seed))
+        records = [r for r in records if r["kind"] == "eval" and r["env_steps"] > 0]
         if records:
             names = ("env_steps", main_metric(records[-1]), "wall_seconds")
             curves.append(Curve(*([record[name] for record in records] for name in names)))
