@@ -18,6 +18,7 @@ from typing import Any
 
 from hmasd_jax.analysis.curves import plot_result
 from hmasd_jax.analysis.learning import LAST
+from hmasd_jax.runs import durable
 from scripts import comparison
 from scripts.paper import TASKS, Task, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
@@ -215,7 +216,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     is_more = add and out.exists()
     kept = add_seeds(json.loads(out.read_text()), runs) if is_more else record_together(runs)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json.dumps(kept) + "\n")
+    durable.replace(out, f"{json.dumps(kept)}\n".encode())
     if algorithm_of(out) == "hmasd" and not any(setting in out.stem for setting in SKILLS):
         plot_result(out, out.with_suffix(".png"), TASKS[task].reference)
     draw_together(task, recorded(task))

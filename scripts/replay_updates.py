@@ -2,7 +2,7 @@
 
 python scripts/replay_updates.py RUN OUT --seed 3 --step 1440000
 
-The updates run again from the checkpoint, bit for bit as in training. OUT (JSON) gets one row per
+The updates run again from the checkpoint, compiled as in training. OUT (JSON) gets one row per
 update: the success of sampled play with both levels as they are then, with only the coordinator of
 then and the discoverer of the checkpoint, and the other way round; and for each gradient step of
 the coordinator its gradient's norm and the KL divergence before it. No parameters are averaged.
@@ -22,6 +22,7 @@ from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.sgd import ppo_step
 from hmasd_jax.runs.load import load_run
+from hmasd_jax.training.compiled import build_executable
 from hmasd_jax.types import Learner
 from scripts.records import checkpoint_parser, describe_script, write_rows
 
@@ -60,7 +61,8 @@ def replay(run: Path, seed: int, step: int, num_updates: int) -> list[dict[str, 
     """Return one row per update after the checkpoint of a step."""
     trained = load_run(run, seed, step)
     parts = make_parts(trained.env, trained.config.algorithm)
-    update = jax.jit(trained.algorithm.update)
+    # Other compiler options round differently.
+    update = build_executable(jax.jit(trained.algorithm.update), trained.state)
     steps = jax.jit(partial(coordinator_steps, parts))
 
     @jax.jit

@@ -4,7 +4,7 @@ The observations of `features` are relative. Their closest pot is now this pot a
 the observer walks. Here each pot has numbers of its own:
 
 - for each agent (9): orientation (4: N S E W), held item (3: onion, dish, soup), x, y
-- for each pot (5): its onions, is full, is cooking, is ready, steps until it is ready
+- for each pot (5): its onions, holds three, is cooking, is ready, steps until it is ready
 
 Objects on counters and the time are left out, as they are in `features`.
 """

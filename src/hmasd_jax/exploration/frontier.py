@@ -114,7 +114,7 @@ class Frontier(NamedTuple):
     before: Float[Array, "E state"]
     """State before the next step."""
     begins: Bool[Array, " E"]
-    """Whether the next step is the first of an episode, so that `before` is of another one."""
+    """True if the next step is the first of an episode, so that `before` is of another one."""
     successes: Float[Array, " E"]
     """Number of recent episodes of each copy that ended with a reward before the time limit."""
     returns: Float[Array, ""]
