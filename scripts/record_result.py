@@ -49,8 +49,8 @@ mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of traini
 without compilation, summed over the seeds, or of all seeds at once on a GPU.
 
 "Stopped" seeds had no reward until they ended early, after half of their steps or more, and score
-0. It is no good rule: three of 102 seeds with the paper's presets that had no reward in the first
-half learned later. Where others ended early, the table gives their steps beside those of the
+0. It is no good rule: of some 110 seeds with the paper's presets that had no reward in the first
+half, three learned later. Where others ended early, the table gives their steps beside those of the
 preset.
 
 A row is named after its file. Names begin with the algorithm, or with `no` for an ablation:
