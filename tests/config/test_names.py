@@ -32,8 +32,8 @@ class MyGame(AliceAndBob):
 @pytest.fixture
 def own_names(monkeypatch):
     for names in (registry.ENVIRONMENTS, ALGORITHMS):
-        monkeypatch.setitem(names, "mine", None)  # It is gone after the test.
-        del names["mine"]
+        monkeypatch.setitem(names, "mine", None)
+        del names["mine"]  # After the test it is gone again.
 
 
 @pytest.mark.usefixtures("own_names")

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from envs_jax import registry
+from hmasd_jax.algorithms import ALGORITHMS
 from hmasd_jax.cli.main import COMMANDS
 from hmasd_jax.cli.options import GridOptions, RunOptions, TuneOptions
 from hmasd_jax.cli.parse import load_config, parse
@@ -48,8 +49,10 @@ def _with_code():
 @pytest.mark.parametrize("page", _with_code(), ids=_name)
 def test_code_blocks_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    # The environments that a page registers are forgotten afterwards.
+    # The environments and the algorithm that a page registers are forgotten afterwards.
     monkeypatch.setattr(registry, "ENVIRONMENTS", dict(registry.ENVIRONMENTS))
+    monkeypatch.setitem(ALGORITHMS, "my_ppo", ALGORITHMS["mappo"])
+    del ALGORITHMS["my_ppo"]
     text = page.read_text()
     if any(RUN in block[2] for block in BLOCK.finditer(text)):
         (tmp_path / RUN).parent.mkdir()

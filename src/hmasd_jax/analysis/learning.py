@@ -72,13 +72,14 @@ class Learned(NamedTuple):
     seed that has one."""
 
 
-def read_records(run: Path) -> dict[int, list[Record]]:
+def read_records(run: Path | str) -> dict[int, list[Record]]:
     """Read all records of a run by seed.
 
     Raises:
         RunError: `run` is not the folder of a run, or a file cannot be read.
         ConfigError: The configuration of the run is not valid in this version.
     """
+    run = Path(run)
     read_config(run)  # raises the errors
     return {seed: metrics_log.read(metrics_path(run, seed)) for seed in seeds_of(run)}
 

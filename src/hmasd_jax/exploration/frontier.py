@@ -126,7 +126,7 @@ class Frontier(NamedTuple):
 
 
 def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bonus:
-    """Build the bonus for `num_envs` copies of `env`."""
+    """Build the bonus for `num_envs` copies of `env`. It pays nothing if its weight is 0."""
     if config.coef == 0:
         return NO_BONUS
 

@@ -34,7 +34,8 @@ class NoveltyConfig:
     """Settings of the bonus."""
 
     coef: float = 0.0
-    """Weight of the bonus in the reward. With 0 there is none."""
+    """Weight of the bonus in the reward, for a bonus in standard deviations of all errors so far,
+    which is never below 0. With 0 there is none."""
     epochs: int = 4
     """Gradient steps on the predictor per rollout, each on the whole rollout."""
     learning_rate: float = 1e-4
@@ -75,7 +76,7 @@ TARGET, PREDICTOR = Features(num_layers=2), Features(num_layers=3)
 
 
 def make_novelty(env: Environment, config: NoveltyConfig) -> Bonus:
-    """Build the bonus for `env`."""
+    """Build the bonus for `env`. It pays nothing if its weight is 0."""
     if config.coef == 0:
         return NO_BONUS
     optimizer = optax.adam(config.learning_rate)

@@ -1,9 +1,9 @@
 """Reward for skills that lead far apart: METRA (Park et al., ICLR 2024) for teams of agents.
 
-phi maps observations to one dimension per skill such that one step moves it by at most 1 on
-average. A skill is paid for the distance it moves along its own direction, so that the best skills
-travel far, not merely apart from each other. The directions of all skills sum to 0: an untrained
-phi pays nothing on average, and standing still pays 0.
+phi maps observations to one dimension per skill such that one step moves it by at most 1 per
+dimension, as a root mean square. A skill is paid for the distance it moves along its own direction,
+so that the best skills travel far, not merely apart from each other. The directions of all skills
+sum to 0: an untrained phi pays nothing on average, and standing still pays 0.
 """
 
 from collections.abc import Callable
@@ -38,7 +38,8 @@ class DistanceConfig:
     """Settings of the reward."""
 
     individual_coef: float = 0.0
-    """Weight of each agent's distance along its skill z^i."""
+    """Weight of each agent's distance along its skill z^i. A step of usual length pays at most
+    about n / sqrt(n - 1) before the weight, for n skills."""
     team_coef: float = 0.0
     """Weight of the state's distance along the team skill Z. With both weights 0 nothing is
     learned."""
@@ -112,7 +113,14 @@ class Embedding(nn.Module):
 def make_distance(
     env: Environment, num_team_skills: int, num_skills: int, config: DistanceConfig
 ) -> SkillReward:
-    """Build the reward for `env`."""
+    """Build the reward for `env`.
+
+    Args:
+        env: Environment that gives the sizes of state and observation.
+        num_team_skills: n_Z.
+        num_skills: n_z.
+        config: Weights and optimization. With both weights 0 the part pays and learns nothing.
+    """
     if config.individual_coef == config.team_coef == 0:
         return NO_REWARD
     networks = {"team": Embedding(num_team_skills), "individual": Embedding(num_skills)}
