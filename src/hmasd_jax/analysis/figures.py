@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hmasd_jax.analysis.colors import OKABE_ITO
 from hmasd_jax.analysis.statistics import Array, mean_interval
 from hmasd_jax.runs.folder import RunError
 
@@ -15,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#444444")
-"""Colors that color-blind readers can tell apart (Okabe and Ito)."""
+COLORS = (*OKABE_ITO, "#444444")
 
 EDITABLE_TEXT = {"pdf.fonttype": 42, "svg.fonttype": "none"}
 """Settings of matplotlib by which PDF and SVG keep their text as text."""

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from envs_jax.declared import Agent
+from hmasd_jax.analysis.colors import OKABE_ITO
 
-SKILL_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F7F7F")
+SKILL_COLORS = (*OKABE_ITO, "#7F7F7F")
 TEAM_COLORS = ("#4B3F8F", "#A8820A", "#2D6A6A", "#8C2F39", "#3D5A1E", "#6B4226", "#1F1F1F")
 INK, FAINT, PAPER = "#1E1E1E", "#808080", "#FFFFFF"
 WON, LOST = "#1B7F3B", "#B3261E"

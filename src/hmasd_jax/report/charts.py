@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
+from hmasd_jax.analysis.colors import OKABE_ITO
 from hmasd_jax.analysis.frames import SKILL_COLORS, TEAM_COLORS
 from hmasd_jax.analysis.learning import Band
 from hmasd_jax.analysis.skill_space import SkillSpace
@@ -17,8 +18,8 @@ from hmasd_jax.analysis.skills import FREE, Level, SkillStudy
 from hmasd_jax.analysis.statistics import Estimate, estimate_mean
 from hmasd_jax.analysis.usefulness import Usefulness
 
-RUN_COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#8A8A8A")
-"""Okabe and Ito, with a gray that both themes can show."""
+RUN_COLORS = (*OKABE_ITO, "#8A8A8A")
+"""The gray shows on both themes."""
 GRID = "rgba(128,128,128,0.25)"
 FONT = "system-ui, sans-serif"
 CONFIG = {
