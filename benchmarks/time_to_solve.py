@@ -116,8 +116,7 @@ def measured(run: Path) -> Row:
     """
     curves = []
     for seed in seeds_of(run):
-        records = metrics_log.read(metrics_path(run, seed))
-        records = [r for r in records if r["kind"] == "eval" and r["env_steps"] > 0]
+        records = metrics_log.evaluations(metrics_log.read(metrics_path(run, seed)))
         if records:
             names = ("env_steps", main_metric(records[-1]), "wall_seconds")
             curves.append(Curve(*([record[name] for record in records] for name in names)))

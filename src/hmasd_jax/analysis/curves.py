@@ -25,10 +25,10 @@ from hmasd_jax.analysis.figures import (
     save,
     write_csv,
 )
-from hmasd_jax.analysis.learning import common_metric
+from hmasd_jax.analysis.learning import common_metric, read_records
 from hmasd_jax.config import to_json
 from hmasd_jax.runs import metrics_log
-from hmasd_jax.runs.folder import RunError, metrics_path, read_config, seeds_of
+from hmasd_jax.runs.folder import RunError, read_config, seeds_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -174,10 +174,8 @@ def read_curves(run: Path, kind: str, metric: str) -> dict[int, Curve]:
     Raises:
         RunError: `run` is not the folder of a run.
     """
-    read_config(run)  # raises the error
     curves = {}
-    for seed in seeds_of(run):
-        records = metrics_log.read(metrics_path(run, seed))
+    for seed, records in read_records(run).items():
         points = [
             (record["env_steps"], record[metric])
             for record in records
@@ -251,8 +249,8 @@ def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
 
 def _known_metrics(run: Path) -> str:
     """Return a text that names the metrics of the run's evaluations."""
-    for seed in seeds_of(run):
-        for record in metrics_log.read(metrics_path(run, seed)):
+    for records in read_records(run).values():
+        for record in records:
             if record["kind"] == "eval":
                 known = sorted(set(record) - metrics_log.NOT_METRICS - {"wall_seconds"})
                 return f"there are {', '.join(known)}; choose one by --metric"

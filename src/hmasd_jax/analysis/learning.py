@@ -125,8 +125,7 @@ def summarize(
         last: Number of last evaluations to average.
     """
     evaluations = [
-        [row for row in rows if row["kind"] == "eval" and row["env_steps"] > 0 and metric in row]
-        for rows in records.values()
+        [row for row in metrics_log.evaluations(rows) if metric in row] for rows in records.values()
     ]
     evaluations = [rows for rows in evaluations if rows]
     if not evaluations:

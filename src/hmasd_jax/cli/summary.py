@@ -61,7 +61,7 @@ def summarize(run: Path, index: int) -> dict[str, Any]:
     values = [record[metric] for record in evaluations if metric in record]
     if not values:
         return {}
-    trained = [r[metric] for r in evaluations if metric in r and r["env_steps"] > 0] or values
+    trained = [r[metric] for r in metrics_log.evaluations(records) if metric in r] or values
     return {
         "env_steps": records[-1]["env_steps"],
         "wall_seconds": records[-1]["wall_seconds"],

@@ -178,6 +178,11 @@ def read(path: Path) -> list[Record]:
     return [record for _, record in log.records]
 
 
+def evaluations(records: list[Record]) -> list[Record]:
+    """Return the evaluations among the records of a seed, without that of the untrained policy."""
+    return [record for record in records if record["kind"] == "eval" and record["env_steps"] > 0]
+
+
 def find_damage(path: Path) -> str | None:
     """Return the start of a sentence about damaged lines, or None if there are none.
 

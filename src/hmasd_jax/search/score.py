@@ -26,7 +26,7 @@ def read_evaluations(run: Path, num_seeds: int) -> tuple[str, list[list[float]]]
         The metric, success or else return, and its evaluations after step 0 for each seed.
     """
     seeds = [metrics_log.read(metrics_path(run, seed)) for seed in range(num_seeds)]
-    rows = [[r for r in seed if r["kind"] == "eval" and r["env_steps"] > 0] for seed in seeds]
+    rows = [metrics_log.evaluations(seed) for seed in seeds]
     metric = main_metric(next((row for seed in rows for row in seed), {"success": 0}))
     return metric, [[row[metric] for row in seed if metric in row] for seed in rows]
 
