@@ -46,7 +46,8 @@ def test_hmasd_in_two_parts_is_hmasd_in_one(tmp_path):
     parts = build(config)  # Once, so that the programs are compiled once.
 
     def train(run, updates):
-        stops = iter([False] * updates + [True])
+        # Asked before compiling, and before every stretch of one update.
+        stops = iter([False] * (1 + updates) + [True])
         job = Job(run, config, *parts, (), lambda event: None, lambda: next(stops))
         return train_seeds(job, [0])[0].kind
 
@@ -77,9 +78,10 @@ def test_seeds_in_one_program_are_resumed_together_or_apart(tmp_path):
     for run in (whole, parts):
         create(run, config, [])
     assert set(train(whole, [0, 1, 2], []).values()) == {"finished"}
-    # Asked before every stretch of 40 env steps: the third time for 0 and 1, the second for 2.
-    assert set(train(parts, [0, 1], [False, False, True]).values()) == {"interrupted"}
-    assert train(parts, [2], [False, True]) == {2: "interrupted"}
+    # Asked before compiling, and before every stretch of 40 env steps: there the third time for 0
+    # and 1, the second for 2.
+    assert set(train(parts, [0, 1], [False, False, False, True]).values()) == {"interrupted"}
+    assert train(parts, [2], [False, False, True]) == {2: "interrupted"}
     assert [latest(parts, seed) for seed in range(3)] == [80, 80, 40]
     assert set(train(parts, [0, 1, 2], []).values()) == {"finished"}
     for seed in range(3):
@@ -93,7 +95,7 @@ def unequal(tmp_path):
     config = load(None, SETTINGS | {"total_env_steps": 160})
     run = tmp_path / "run"
     create(run, config, [])
-    stops = iter([False, False, True])
+    stops = iter([False, False, False, True])
     job = Job(run, config, *build(config), (), lambda event: None, lambda: next(stops, False))
     assert train_seeds(job, [1])[1].kind == "interrupted"
     assert (latest(run, 0), latest(run, 1)) == (0, 80)
