@@ -46,16 +46,18 @@ def show(value: Any) -> str:
     return text if len(text) <= 80 else f"{text[:76]} ..."
 
 
-def suggest(word: Any, known: Iterable[Any], inner: Iterable[str] = ()) -> str:
+def suggest(word: Any, known: Iterable[Any], inner: Iterable[str] = (), remedy: str = "") -> str:
     """Return a hint that ends an error message about an unknown word.
 
     Args:
         word: The word that is not known.
         known: All words that are.
         inner: Dotted names that are known, too, and are found by their last part.
+        remedy: What to do where no known word is meant.
 
     Returns:
-        " (did you mean X?)" if a known word X is near to `word`, else " (known: ...)".
+        " (did you mean X?)" if a known word X is near to `word`, else " (known: ...)" and the
+        remedy.
     """
     known = [str(k) for k in known]
     names = {name: [name] for name in known}
@@ -63,7 +65,7 @@ def suggest(word: Any, known: Iterable[Any], inner: Iterable[str] = ()) -> str:
         names.setdefault(name.rpartition(".")[2], []).append(name)
     near = find_near(str(word)[:200], names)  # Longer ones take long to compare.
     if near is None:
-        return f" (known: {', '.join(known) or 'none'})"
+        return f" (known: {', '.join(known) or 'none'})" + (f"; {remedy}" if remedy else "")
     return f" (did you mean {' or '.join(names[near])}?)"
 
 

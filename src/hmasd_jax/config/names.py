@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from envs_jax.choices import find_near, show, suggest
+from envs_jax.choices import show, suggest
 from envs_jax.registry import ENVIRONMENTS
 from hmasd_jax.algorithms import ALGORITHMS, AlgorithmEntry
 from hmasd_jax.validation import ConfigError
@@ -54,9 +54,7 @@ def name_of_algorithm(settings: type) -> str:
 def _find(name: Any, registry: Mapping[str, Any], path: str, remedy: str) -> Any:
     if isinstance(name, str) and name in registry:
         return registry[name]
-    hint = suggest(name, registry)
-    is_typo = find_near(str(name)[:200], registry) is not None
-    raise ConfigError(f"unknown {path} {show(name)}{hint}" + ("" if is_typo else f"; {remedy}"))
+    raise ConfigError(f"unknown {path} {show(name)}{suggest(name, registry, remedy=remedy)}")
 
 
 def _name_of(cls: type, registry: Mapping[str, type], remedy: str) -> str:

@@ -205,12 +205,9 @@ def to_json(config: TrainConfig) -> dict[str, Any]:
         ConfigError: A class is not registered, or a value has a type that JSON lacks.
     """
     table = dataclasses.asdict(config)
-    env_name, algorithm_name = (
-        name_of_env(type(config.env)),
-        name_of_algorithm(type(config.algorithm)),
-    )
-    table["env"] = {"name": env_name, **table["env"]}
-    table["algorithm"] = {"name": algorithm_name, **table["algorithm"]}
+    env, algorithm = type(config.env), type(config.algorithm)
+    table["env"] = {"name": name_of_env(env), **table["env"]}
+    table["algorithm"] = {"name": name_of_algorithm(algorithm), **table["algorithm"]}
     for name, value in _flatten(table).items():
         try:
             json.dumps(value, default=_write_path)
