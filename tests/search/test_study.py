@@ -2,6 +2,7 @@
 
 import json
 import threading
+from contextlib import ExitStack
 
 import pytest
 
@@ -112,6 +113,24 @@ def test_a_trial_in_training_is_left_alone_and_a_dropped_one_continues(tmp_path)
         again.report(0.5, 2)
         trials.complete(other, again, 0.5)
     assert read_search(tmp_path / "s").study.trials[0].intermediate_values == {1: 0.25, 2: 0.5}
+
+
+def test_a_trial_that_ends_before_it_is_locked_is_not_continued(tmp_path, monkeypatch):
+    search, other = join(tmp_path / "s"), join(tmp_path / "s")
+    hold = trials.hold
+    with ExitStack() as mine:
+        trial = mine.enter_context(trials.next_trial(search))
+        suggest_values(search, trial)
+
+        def end_first(path):
+            if states(search) == ["RUNNING"]:
+                trials.complete(search, trial, 0.5)
+                mine.close()
+            return hold(path)
+
+        monkeypatch.setattr(trials, "hold", end_first)
+        with trials.next_trial(other) as theirs:
+            assert theirs.number == 1
 
 
 def test_equal_values_are_not_trained_twice(tmp_path):

@@ -48,12 +48,26 @@ def _continue(search: Search, locks: ExitStack) -> "Trial | None":
     import optuna
 
     unplaced = search.place if search.is_local else None  # Killed before its place was noted.
-    for frozen in search.study.get_trials(states=[optuna.trial.TrialState.RUNNING]):
+    for frozen in _running(search):
         if frozen.user_attrs.get(PLACE, unplaced) != search.place:
             continue
-        if _lock(search, frozen.number, locks):
-            return optuna.Trial(search.study, frozen._trial_id)
+        with ExitStack() as lock:
+            # Only a trial that is locked stays as it is: another process may have ended it since.
+            if _lock(search, frozen.number, lock) and _is_running(search, frozen.number):
+                locks.enter_context(lock.pop_all())
+                return optuna.Trial(search.study, frozen._trial_id)
     return None
+
+
+def _running(search: Search) -> "list[FrozenTrial]":
+    """Return the trials that have begun and of which nobody has told how they ended."""
+    import optuna
+
+    return search.study.get_trials(deepcopy=False, states=[optuna.trial.TrialState.RUNNING])
+
+
+def _is_running(search: Search, number: int) -> bool:
+    return number in [trial.number for trial in _running(search)]
 
 
 def _begin(search: Search, locks: ExitStack) -> "Trial | None":
