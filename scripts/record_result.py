@@ -18,9 +18,10 @@ from typing import Any
 
 from hmasd_jax.analysis.curves import plot_result
 from hmasd_jax.analysis.learning import LAST
+from hmasd_jax.analysis.statistics import estimate_iqm
 from hmasd_jax.runs import durable
 from scripts import comparison
-from scripts.paper import TASKS, Task, summarize_record
+from scripts.paper import TASKS, Task, final_scores, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
 from scripts.result_settings import changed_settings, preset_of
@@ -44,9 +45,10 @@ file holds the command, configuration, commit, versions and hardware of a run, a
 of every seed. All but the oldest also hold the training metrics, as means over each tenth of the
 run. A score is the success rate of greedy episodes in percent, or their mean return. It is averaged
 over the last {last} evaluations of each seed, then over seeds. "±" is the (population) standard
-deviation over seeds, as in the paper (five seeds). Brackets are the 95 % bootstrap interval of the
-mean, and "worst" is the worst seed. "Minutes" are the wall-clock time of training and evaluation,
-without compilation, summed over the seeds, or of all seeds at once on a GPU.
+deviation over seeds, as in the paper (five seeds). "IQM" is the interquartile mean over seeds,
+without the lowest and the highest quarter. Brackets are 95 % bootstrap intervals, and "worst" is
+the worst seed. "Minutes" are the wall-clock time of training and evaluation, without compilation,
+summed over the seeds, or of all seeds at once on a GPU.
 
 "Stopped" seeds had no reward until they ended early, after half of their steps or more, and score
 0. It is no good rule: of some 110 seeds with the paper's presets that had no reward in the first
@@ -88,7 +90,7 @@ than today's preset. A seed has learned if it scores at least a tenth of the bes
 cell, and at least 5 %.
 """
 COLUMNS = (
-    "| configuration | seeds | env steps | paper | ours | worst | seeds ≥ {bar} | commit "
+    "| configuration | seeds | env steps | paper | ours | IQM | worst | seeds ≥ {bar} | commit "
     "| minutes |"
 )
 DIFFERENCES = """| row | setting | recorded | today's preset |
@@ -109,6 +111,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     """Format the line of the table for a run `kept` in the file `path`."""
     final = summarize_record(kept, task)
     low, high = final["interval"]
+    iqm = estimate_iqm(final_scores(kept))
     mark = " *" if changed_settings(kept) else ""
     steps = f"{kept['env_steps'][-1]:,}"
     if cut_seeds(kept):
@@ -119,6 +122,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
         steps,
         task.paper.get(path.stem) or task.paper.get(algorithm_of(path), ""),
         f"{final['mean']:.1f} ± {final['std']:.1f} [{low:.1f}, {high:.1f}]",
+        f"{iqm.value:.1f} [{iqm.low:.1f}, {iqm.high:.1f}]",
         f"{final['min']:.1f}",
         f"{final['fraction_solved']:.0%}",
         ", ".join(f"`{commit[:7]}`" for commit in commits_of(kept)),

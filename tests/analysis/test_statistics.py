@@ -106,6 +106,14 @@ def test_estimate_is_the_statistic_and_its_interval():
     assert found == (0.0, -0.5, 0.5)
 
 
+def test_iqm_has_its_own_interval():
+    found = statistics.estimate_iqm([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    # Two seeds of eight are cut at each end, and three zeros of eight come up once in fifteen.
+    assert (found.value, found.high) == (1.0, 1.0)
+    assert found.low == 0.75
+    assert statistics.estimate_iqm([0.7]) == (0.7, 0.7, 0.7)
+
+
 def test_fraction_has_an_interval_even_if_all_seeds_agree():
     # Wilson's for 10 of 10: 1 / (1 + 1.96^2 / 10); for 5 of 10 as in textbooks 0.237 to 0.763.
     np.testing.assert_allclose(

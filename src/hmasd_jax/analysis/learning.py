@@ -14,10 +14,9 @@ from hmasd_jax.analysis.figures import common_steps
 from hmasd_jax.analysis.statistics import (
     Array,
     Estimate,
-    estimate,
     estimate_fraction,
+    estimate_iqm,
     estimate_mean,
-    interquartile_mean,
     mean_interval,
     seed_score,
 )
@@ -137,7 +136,7 @@ def summarize(
         seeds=len(scores),
         last=min(last, max(map(len, evaluations))),
         mean=estimate_mean(scores),
-        iqm=estimate([scores], lambda groups: interquartile_mean(groups[0])),
+        iqm=estimate_iqm(scores),
         threshold=solved_at,
         solved=estimate_fraction(scores, solved_at),
         reached=[(row["env_steps"], row["wall_seconds"]) for row in firsts if row],

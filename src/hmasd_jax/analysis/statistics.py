@@ -119,6 +119,11 @@ def estimate_mean(values: ArrayLike, seed: int = 0, num_samples: int = 2000) -> 
     return Estimate(float(values.mean()), float(low), float(high))
 
 
+def estimate_iqm(scores: ArrayLike) -> Estimate:
+    """Return `interquartile_mean` of (n,) with its 95 % bootstrap interval."""
+    return estimate([scores], lambda groups: interquartile_mean(groups[0]))
+
+
 def estimate_fraction(scores: ArrayLike, threshold: float) -> Estimate:
     """Return `fraction_above` with its Wilson interval.
 
