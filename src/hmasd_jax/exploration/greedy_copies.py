@@ -87,11 +87,11 @@ def actions_entropy_coef(
     return faded - config.sharpening * jnp.maximum(lost, 0.0) * chance
 
 
-def without_greedy(
-    chosen: Bool[Array, "T E *rest"], greedy: bool | Bool[Array, "E *#rest"]
+def leave_out(
+    chosen: Bool[Array, "T E *rest"], copies: bool | Bool[Array, "E *#rest"]
 ) -> Bool[Array, "T E *rest"]:
-    """Leave out the copies that act greedily."""
-    return chosen if greedy is False else chosen & ~greedy
+    """Leave out the copies that are marked."""
+    return chosen if copies is False else chosen & ~copies
 
 
 def blame_greedy(
@@ -127,5 +127,5 @@ def normalize_and_blame(
         greedy: True for copies that act greedily; False if there is none.
         normalize: function of the advantages, and of whether each counts.
     """
-    active = without_greedy(has_choice(action_mask), per_agent(greedy))
+    active = leave_out(has_choice(action_mask), per_agent(greedy))
     return blame_greedy(normalize(advantage, active), greedy, reward)

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from hmasd_jax.exploration.greedy_copies import (
+    leave_out,
     mark_greedy,
     normalize_and_blame,
-    without_greedy,
 )
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
@@ -108,12 +108,18 @@ def _in_front(segments: Segments) -> Segments:
 
 
 def high_batch(
-    parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout, key: Key
+    parts: Parts,
+    params: dict,
+    norm: ValueNorm,
+    rollout: Rollout,
+    key: Key,
+    random: bool | Bool[Array, " E"] = False,
 ) -> HighBatch:
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
-    The batch has `config.num_segments` samples: a random choice of the segments of copies that do
-    not act greedily, repeated if there are fewer.
+    The batch has `config.num_segments` samples: a random choice of the segments whose skills the
+    coordinator sampled, repeated if there are fewer. Copies that act greedily have none, nor have
+    those marked in `random`.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -134,8 +140,7 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    greedy = mark_greedy(config)
-    learned = without_greedy(segments.begins, greedy)
+    learned = leave_out(leave_out(segments.begins, mark_greedy(config)), random)
     chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)

@@ -96,6 +96,10 @@ class HMASDConfig:
     solved_entropy_coef: float = 0.0
     """Weight that the coordinator's entropy gains once the team solves its task, so that all skills
     stay in use. Needs the `frontier`. The paper has none."""
+    solved_random_copies: int = 0
+    """Copies of the environment that draw all skills at random in training once the team solves its
+    task, so that skills which the coordinator leaves out are not forgotten. Needs the `frontier`.
+    The paper has none."""
     sharpening: float = 0.0
     """Weight against the entropy of actions, per share of episodes that sampled play loses and
     greedy play wins, once the team solves its task. Needs the `frontier` and
@@ -132,8 +136,8 @@ class HMASDConfig:
         check_range(self, "solved_gain", "solved_entropy_coef", "sharpening", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
         check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, sharpening=0, solved_step_factor=1,
-            solved_low_step_factor=1,
+            self, solved_gain=0, solved_entropy_coef=0, solved_random_copies=0, sharpening=0,
+            solved_step_factor=1, solved_low_step_factor=1,
         )  # fmt: skip
         check_sharpening(self.sharpening, self.imitation)
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
@@ -158,6 +162,8 @@ class HMASDConfig:
                 "choice of skills to learn from"
             )
         self.imitation.check_copies(ppo.num_envs)
+        free = ppo.num_envs - self.imitation.greedy_copies
+        check_range(self, "solved_random_copies", low=0, high=free - 1)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
         # The coordinator's samples are segments, fewer than the sequences of the low level.
         check_divides(

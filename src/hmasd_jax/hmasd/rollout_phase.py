@@ -12,6 +12,7 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import init_memory
+from hmasd_jax.hmasd.random_copies import replace_skills
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.rollout import unroll
@@ -79,15 +80,19 @@ def collect(
     env: EnvCarry,
     memory: RolloutMemory,
     key: Key,
+    random: bool | Bool[Array, " E"] = False,
 ) -> Rollout:
-    """Roll out for T steps with the given parameters of coordinator and discoverer."""
+    """Roll out for T steps with the given parameters of coordinator and discoverer.
+
+    Copies marked in `random` draw all skills at random.
+    """
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
     if config.segment_clock == "rollout":
         # T is a multiple of k, so this changes no value. But a constant clock does not depend on
         # the seed, so that under vmap over seeds the coordinator still runs only every k steps.
         memory = memory._replace(clock=jnp.zeros_like(memory.clock))
-    step_fn = _act_and_evaluate(parts, coordinator, discoverer)
+    step_fn = _act_and_evaluate(parts, coordinator, discoverer, random)
     env, memory, transitions = unroll(
         parts.env, step_fn, env, memory, key_rollout, config.ppo.rollout_length
     )
@@ -95,6 +100,7 @@ def collect(
     state, obs = env.timestep.state, env.timestep.obs
     greedy = mark_greedy(config)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
+    fresh = replace_skills(parts.coordinator, fresh, key_next, random)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
         transitions=transitions,
@@ -113,10 +119,13 @@ def read_clock(
     return clock, clock % config.skill_interval == 0
 
 
-def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
+def _act_and_evaluate(
+    parts: Parts, coordinator: dict, discoverer: dict, random: bool | Bool[Array, " E"]
+) -> StepFn:
     """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l.
 
-    Copies that act greedily take the most likely skills and actions.
+    Copies that act greedily take the most likely skills and actions, those marked in `random` draw
+    all skills at random.
     """
     greedy = mark_greedy(parts.config)
 
@@ -124,8 +133,9 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
         key_assign, key_act = jax.random.split(key)
         clock, renewed = read_clock(parts.config, memory.clock, first)
         assignment = renew(
-            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy
-        )
+            parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy,
+            random=random,
+        )  # fmt: skip
         actor, distribution = parts.discoverer.act(
             discoverer, memory.low.actor, timestep.obs, timestep.action_mask, first,
             assignment.individual_skills,
@@ -156,12 +166,14 @@ def renew(
     key: Key,
     greedy: bool | Bool[Array, "*batch"],
     allowed: Bool[Array, "tokens skills"] | None = None,
+    random: bool | Bool[Array, " E"] = False,
 ) -> Assignment:
     """Return a fresh assignment where `renewed`, and the current one elsewhere."""
 
     def draw() -> Assignment:
         state, obs = timestep.state, timestep.obs
         fresh = assign(parts.coordinator, params, state, obs, key, greedy, allowed)
+        fresh = replace_skills(parts.coordinator, fresh, key, random)
         return jax.tree.map(
             lambda new, old: jnp.where(renewed[..., None], new, old), fresh, current
         )
