@@ -18,7 +18,6 @@ from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import high_batch
 from hmasd_jax.hmasd.components import Parts, make_parts
 from hmasd_jax.hmasd.policy import make_policy
-from hmasd_jax.hmasd.random_copies import mark_random
 from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.sgd import ppo_step
@@ -41,11 +40,8 @@ def coordinator_steps(
     ppo = parts.config.ppo
     _, key_collect, key_choose, key_high, *_ = jax.random.split(state.key, 6)
     params, norm = state.coordinator.params, state.coordinator_norm
-    random = mark_random(parts.config, parts.bonus, state.bonus)
-    rollout = collect(
-        parts, params, state.discoverer.params, state.env, state.memory, key_collect, random
-    )
-    batch = high_batch(parts, params, norm, rollout, key_choose, random)
+    rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
+    batch = high_batch(parts, params, norm, rollout, key_choose)
     optimizer, loss_fn = algorithm.coordinator_objective(parts, state.bonus)
 
     def step(carry, order):

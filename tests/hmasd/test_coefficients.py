@@ -173,7 +173,6 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
     [
         ("solved_gain", 2.0),
         ("solved_entropy_coef", 2.0),
-        ("solved_random_copies", 2),
         ("sharpening", 2.0),
         ("solved_step_factor", 0.5),
         ("solved_low_step_factor", 0.5),

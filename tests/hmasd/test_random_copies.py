@@ -1,4 +1,4 @@
-"""Some copies draw all skills at random once the task is solved."""
+"""Some copies draw all skills at random."""
 
 from dataclasses import replace
 
@@ -9,54 +9,23 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.exploration.bonus import NO_BONUS
-from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
+from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.successes import ImitationConfig
-from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.batches import high_batch
-from hmasd_jax.hmasd.components import make_parts
-from hmasd_jax.hmasd.random_copies import judge_others, mark_random, replace_skills
+from hmasd_jax.hmasd.coefficients import low_entropy_coef
+from hmasd_jax.hmasd.random_copies import mark_random, replace_skills
 from hmasd_jax.hmasd.rollout_phase import blank_assignment, collect
 
-MARKED = jnp.array([False, False, True, True])
+
+def with_random_copies(parts, count):
+    return replace(parts, config=replace(parts.config, random_copies=count))
 
 
-BY_COPY = NO_BONUS._replace(unsolved=lambda shares, copies=True: shares.mean(where=copies))
-"""A bonus whose state is the share of unsolved episodes in each copy."""
-
-
-def with_random_copies(config, count):
-    return replace(config, solved_random_copies=count, frontier=FrontierConfig(coef=1.0))
-
-
-@pytest.mark.parametrize(
-    ("all_solved", "marked"), [(0.0, 0), (0.24, 0), (0.26, 1), (0.74, 1), (0.76, 2)]
-)
-def test_their_number_grows_with_the_chance_that_all_copies_succeed(config, all_solved, marked):
-    unsolved = jnp.full(4, 1 - all_solved ** (1 / 4))
-    marks = mark_random(with_random_copies(config, 2), BY_COPY, unsolved)
-    np.testing.assert_array_equal(marks, np.arange(4) >= 4 - marked)
-
-
-def test_episodes_with_random_skills_do_not_tell_whether_the_task_is_solved(parts, config):
-    unsolved = jnp.array([0.125, 0.25, 0.25, 0.75])
-    bonus = judge_others(BY_COPY, with_random_copies(config, 1))
-    assert_allclose(bonus.unsolved(unsolved), 0.625 / 3)
-    greedy = jnp.array([True, False, False, False])
-    assert_allclose([bonus.unsolved(unsolved, x) for x in (greedy, ~greedy)], [0.125, 0.25])
-    changed = make_parts(parts.env, with_random_copies(config, 2))
-    plain = make_frontier(parts.env, changed.config.frontier, 4)
-    state = plain.init(jax.random.key(0))
-    state = jax.tree.map(lambda x: jax.random.uniform(jax.random.key(1), x.shape), state)
-    first = jnp.arange(4) < 2
-    assert_allclose(changed.bonus.unsolved(state), plain.unsolved(state, first))
-    assert plain.unsolved(state) != plain.unsolved(state, first)
-
-
-def test_without_the_setting_nothing_is_traced(config):
-    none = with_random_copies(config, 0)
-    assert mark_random(none, BY_COPY, jnp.zeros(4)) is False
-    assert judge_others(BY_COPY, none) is BY_COPY
+def test_the_last_copies_are_marked_and_without_the_setting_nothing_is_traced(config):
+    marks = mark_random(replace(config, random_copies=2))
+    np.testing.assert_array_equal(marks, [False, False, True, True])
+    assert mark_random(config) is False
 
 
 @pytest.mark.parametrize("kind", ["learned", "team_only"])
@@ -78,10 +47,10 @@ def test_every_legal_skill_has_the_same_chance(config, kind):
     assert_allclose(drawn.log_prob[1000:], np.tile(np.log(chance), (3000, 1)), atol=1e-5)
 
 
-def test_marked_copies_draw_at_random_and_the_others_as_without(parts, trained, rollout):
-    mixed = jax.jit(lambda *args: collect(parts, *args))(
+def test_they_draw_at_random_and_the_others_as_without(parts, trained, rollout):
+    mixed = jax.jit(lambda *args: collect(with_random_copies(parts, 2), *args))(
         trained.coordinator.params, trained.discoverer.params, trained.env, trained.memory,
-        jax.random.key(1), MARKED,
+        jax.random.key(1),
     )  # fmt: skip
     kept, sampled = (x.transitions.extras.assignment for x in (mixed, rollout))
     np.testing.assert_array_equal(kept.skills[:, :2], sampled.skills[:, :2])
@@ -89,14 +58,15 @@ def test_marked_copies_draw_at_random_and_the_others_as_without(parts, trained, 
     assert (kept.skills[:, 2:] != sampled.skills[:, 2:]).any()
     chance = np.broadcast_to([1 / 2, 1 / 3, 1 / 3], (20, 2, 3))
     assert_allclose(kept.log_prob[:, 2:], np.log(chance), atol=1e-5)
-    # Skills that end a rollout are due again, so the next are random, too.
+    # New skills are due after the rollout, so these are random, too.
+    assert_allclose(mixed.next_assignment.skills[:2], rollout.next_assignment.skills[:2])
     assert_allclose(mixed.next_assignment.log_prob[2:], np.log(chance[0]), atol=1e-5)
 
 
 def test_the_coordinator_does_not_learn_from_them(parts, trained, rollout):
     high = high_batch(
-        parts, trained.coordinator.params, trained.coordinator_norm, rollout,
-        jax.random.key(0), MARKED,
+        with_random_copies(parts, 2), trained.coordinator.params, trained.coordinator_norm,
+        rollout, jax.random.key(0),
     )  # fmt: skip
     values = rollout.transitions.extras.assignment.value
     others, theirs = (values[:, x].reshape(-1, 3) for x in (slice(2), slice(2, 4)))
@@ -104,25 +74,20 @@ def test_the_coordinator_does_not_learn_from_them(parts, trained, rollout):
     assert not any((value == theirs).all(-1).any() for value in high.assignment.value)
 
 
-def test_an_update_marks_the_same_copies_in_the_rollout_and_in_the_coordinators_batch(
-    parts, trained, monkeypatch
-):
-    seen = []
-
-    def record(function):
-        return lambda *args: seen.append(args[-1]) or function(*args)
-
-    monkeypatch.setattr(algorithm, "mark_random", lambda *_: MARKED)
-    monkeypatch.setattr(algorithm, "collect", record(collect))
-    monkeypatch.setattr(algorithm, "high_batch", record(high_batch))
-    jax.eval_shape(lambda state: algorithm.train_iteration(parts, state), trained)
-    assert [x is MARKED for x in seen] == [True, True]
+def test_what_they_lose_is_not_laid_to_sampled_actions(parts):
+    """The last copy may lose by its skills. The others lose 3 / 8 more than the greedy one."""
+    shares = jnp.array([0.125, 0.5, 0.5, 0.875])
+    bonus = NO_BONUS._replace(unsolved=lambda _, copies=True: shares.mean(where=copies))
+    config = replace(
+        parts.config, low_entropy_coef=0.4, sharpening=16.0, random_copies=1,
+        frontier=FrontierConfig(coef=1.0), imitation=ImitationConfig(greedy_copies=1),
+    )  # fmt: skip
+    coef = low_entropy_coef(replace(parts, config=config, bonus=bonus), (), jnp.int32(0))
+    assert_allclose(coef, 0.4 - 16 * 0.375 / 2**4, rtol=1e-5)
 
 
 def test_some_copies_are_left_to_the_coordinator(config):
-    config = replace(
-        config, frontier=FrontierConfig(coef=1.0), imitation=ImitationConfig(greedy_copies=1)
-    )
-    replace(config, solved_random_copies=2)
-    with pytest.raises(ValueError, match=r"solved_random_copies must be .* 2, got 3"):
-        replace(config, solved_random_copies=3)
+    config = replace(config, imitation=ImitationConfig(greedy_copies=1))
+    replace(config, random_copies=2)
+    with pytest.raises(ValueError, match=r"random_copies must be .* 2, got 3"):
+        replace(config, random_copies=3)

@@ -28,7 +28,6 @@ from hmasd_jax.hmasd.discriminators import (
     observe,
 )
 from hmasd_jax.hmasd.policy import make_policy
-from hmasd_jax.hmasd.random_copies import mark_random
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.hmasd.rollout_phase import (
     Rollout,
@@ -117,11 +116,14 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     rewards come from the discriminators of the rollout, before they are trained on it.
     """
     key, key_collect, key_choose, key_high, key_low, key_pairs = jax.random.split(state.key, 6)
-    random = mark_random(parts.config, parts.bonus, state.bonus)
     rollout = collect(
-        parts, state.coordinator.params, state.discoverer.params, state.env, state.memory,
-        key_collect, random,
-    )  # fmt: skip
+        parts,
+        state.coordinator.params,
+        state.discoverer.params,
+        state.env,
+        state.memory,
+        key_collect,
+    )
     key_noise, key_pairs = jax.random.split(key_pairs)
     # One sample per step, the shape they are trained on, so that the networks compile once.
     pairs = rollouts.flatten(observe(skill_pairs(parts, rollout), parts.config, key_noise))
@@ -131,9 +133,7 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     bonus_state, reward, bonus_metrics = all_rewards(
         parts, state, rollout, log_q_team, log_q_individual, key_beside(key, 1)
     )
-    high = high_batch(
-        parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose, random
-    )
+    high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)

@@ -16,6 +16,7 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.distance import SkillSteps
+from hmasd_jax.hmasd.random_copies import mark_random
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.hmasd.rollout_phase import Rollout
 from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
@@ -108,18 +109,13 @@ def _in_front(segments: Segments) -> Segments:
 
 
 def high_batch(
-    parts: Parts,
-    params: dict,
-    norm: ValueNorm,
-    rollout: Rollout,
-    key: Key,
-    random: bool | Bool[Array, " E"] = False,
+    parts: Parts, params: dict, norm: ValueNorm, rollout: Rollout, key: Key
 ) -> HighBatch:
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
     The batch has `config.num_segments` samples: a random choice of the segments whose skills the
     coordinator sampled, repeated if there are fewer. Copies that act greedily have none, nor have
-    those marked in `random`.
+    random copies.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -140,7 +136,7 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    learned = leave_out(leave_out(segments.begins, mark_greedy(config)), random)
+    learned = leave_out(leave_out(segments.begins, mark_greedy(config)), mark_random(config))
     chosen = _choose(learned.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int
 from hmasd_jax.exploration.bonus import all_solved
 from hmasd_jax.exploration.greedy_copies import actions_entropy_coef
 from hmasd_jax.hmasd.components import Parts
+from hmasd_jax.hmasd.random_copies import mark_random
 
 
 def skill_weight(
@@ -77,7 +78,9 @@ def low_entropy_coef(
 ) -> float | Float[Array, ""]:
     """Return lambda_l, which may fall with the updates and as episodes are solved."""
     config = parts.config
-    coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
+    coef = actions_entropy_coef(
+        parts.bonus, bonus_state, config, config.low_entropy_coef, mark_random(config)
+    )
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

@@ -22,7 +22,6 @@ from hmasd_jax.hmasd.discriminators import (
     observe,
 )
 from hmasd_jax.hmasd.distance import SkillReward, make_distance
-from hmasd_jax.hmasd.random_copies import judge_others
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic
 from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.rl.sgd import make_optimizer
@@ -74,11 +73,8 @@ def make_parts(env: Environment, config: HMASDConfig) -> Parts:
             ppo, Discriminators._fields, config.discriminator_epochs
         ),
         distance=make_distance(env, config.num_team_skills, config.num_skills, config.distance),
-        bonus=judge_others(
-            add(
-                make_novelty(env, config.novelty), make_frontier(env, config.frontier, ppo.num_envs)
-            ),
-            config,
+        bonus=add(
+            make_novelty(env, config.novelty), make_frontier(env, config.frontier, ppo.num_envs)
         ),
         imitation=make_imitation(env, discoverer, config.imitation, ppo, has_skills=True),
     )

@@ -12,7 +12,7 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import init_memory
-from hmasd_jax.hmasd.random_copies import replace_skills
+from hmasd_jax.hmasd.random_copies import mark_random, replace_skills
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.rollout import unroll
@@ -80,19 +80,15 @@ def collect(
     env: EnvCarry,
     memory: RolloutMemory,
     key: Key,
-    random: bool | Bool[Array, " E"] = False,
 ) -> Rollout:
-    """Roll out for T steps with the given parameters of coordinator and discoverer.
-
-    Copies marked in `random` draw all skills at random.
-    """
+    """Roll out for T steps with the given parameters of coordinator and discoverer."""
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
     if config.segment_clock == "rollout":
         # T is a multiple of k, so this changes no value. But a constant clock does not depend on
         # the seed, so that under vmap over seeds the coordinator still runs only every k steps.
         memory = memory._replace(clock=jnp.zeros_like(memory.clock))
-    step_fn = _act_and_evaluate(parts, coordinator, discoverer, random)
+    step_fn = _act_and_evaluate(parts, coordinator, discoverer)
     env, memory, transitions = unroll(
         parts.env, step_fn, env, memory, key_rollout, config.ppo.rollout_length
     )
@@ -100,7 +96,7 @@ def collect(
     state, obs = env.timestep.state, env.timestep.obs
     greedy = mark_greedy(config)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
-    fresh = replace_skills(parts.coordinator, fresh, key_next, random)
+    fresh = replace_skills(parts.coordinator, fresh, key_next, mark_random(config))
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
         transitions=transitions,
@@ -119,15 +115,13 @@ def read_clock(
     return clock, clock % config.skill_interval == 0
 
 
-def _act_and_evaluate(
-    parts: Parts, coordinator: dict, discoverer: dict, random: bool | Bool[Array, " E"]
-) -> StepFn:
+def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
     """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l.
 
-    Copies that act greedily take the most likely skills and actions, those marked in `random` draw
-    all skills at random.
+    Copies that act greedily take the most likely skills and actions. Random copies draw all skills
+    with the same chance.
     """
-    greedy = mark_greedy(parts.config)
+    greedy, random = mark_greedy(parts.config), mark_random(parts.config)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
