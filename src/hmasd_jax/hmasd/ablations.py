@@ -11,7 +11,6 @@ from jaxtyping import Array, Bool, Float, Int
 from hmasd_jax.hmasd.config import CoordinatorKind, HMASDConfig
 from hmasd_jax.hmasd.coordinator import Coordinator
 from hmasd_jax.networks.transformer import draw_in_turn
-from hmasd_jax.rl.categorical import mask_logits
 
 
 class TeamOnlyCoordinator(Coordinator):
@@ -42,8 +41,8 @@ class RandomCoordinator(Coordinator):
         self, encoded: Float[Array, "*batch tokens size"], skills: Int[Array, "*batch tokens"]
     ) -> Float[Array, "*batch tokens skills"]:
         """Return the same logit for every legal skill."""
-        legal = self.legal_skills(skills)
-        return mask_logits(jnp.zeros((*encoded.shape[:-1], self.max_skills)), legal)
+        del encoded
+        return self.equal_logits(skills)
 
     @nn.nowrap
     def draw(self, decode, shape, key, greedy, allowed):

@@ -108,6 +108,13 @@ class Coordinator(EncoderDecoder):
         counts = jnp.array([self.num_team_skills] + [self.num_skills] * (skills.shape[-1] - 1))
         return jnp.arange(self.max_skills) < counts[:, None]
 
+    def equal_logits(
+        self, skills: Int[Array, "*batch tokens"]
+    ) -> Float[Array, "*batch tokens skills"]:
+        """Return the same logit for every legal skill."""
+        legal = self.legal_skills(skills)
+        return mask_logits(jnp.zeros((*skills.shape, self.max_skills)), legal)
+
     @nn.nowrap
     def draw(
         self,

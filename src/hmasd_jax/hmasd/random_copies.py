@@ -12,7 +12,6 @@ from jaxtyping import Array, Bool
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, Coordinator
 from hmasd_jax.networks.transformer import draw_in_turn
-from hmasd_jax.rl.categorical import mask_logits
 from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.types import Key
 
@@ -37,11 +36,7 @@ def replace_skills(
     if random is False:
         return fresh
 
-    def same_logits(skills):
-        legal = network.legal_skills(skills)
-        return mask_logits(jnp.zeros((*skills.shape, network.max_skills)), legal)
-
-    drawn = draw_in_turn(same_logits, fresh.skills.shape, key_beside(key, 0))
+    drawn = draw_in_turn(network.equal_logits, fresh.skills.shape, key_beside(key, 0))
     skills, log_prob = (
         jnp.where(jnp.asarray(random)[:, None], new, old)
         for new, old in zip(drawn, (fresh.skills, fresh.log_prob))
