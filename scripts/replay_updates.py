@@ -18,6 +18,7 @@ from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import high_batch
 from hmasd_jax.hmasd.components import Parts, make_parts
 from hmasd_jax.hmasd.policy import make_policy
+from hmasd_jax.hmasd.random_segments import random_share
 from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.sgd import ppo_step
@@ -40,7 +41,10 @@ def coordinator_steps(
     ppo = parts.config.ppo
     _, key_collect, key_choose, key_high, *_ = jax.random.split(state.key, 6)
     params, norm = state.coordinator.params, state.coordinator_norm
-    rollout = collect(parts, params, state.discoverer.params, state.env, state.memory, key_collect)
+    rollout = collect(
+        parts, params, state.discoverer.params, state.env, state.memory, key_collect,
+        random_share(parts, state.bonus),
+    )  # fmt: skip
     batch = high_batch(parts, params, norm, rollout, key_choose)
     optimizer, loss_fn = algorithm.coordinator_objective(parts, state.bonus)
 

@@ -83,6 +83,7 @@ def make_rollout(
             value=np.array(low_value, np.float32)[:, None],
             assignment=Assignment(skills, np.zeros((4, 1, 2), np.float32), value),
             renewed=np.array(renewed, bool)[:, None],
+            sampled=np.array(renewed, bool)[:, None],
         ),
         outcome=seen(
             10 * time + 5,

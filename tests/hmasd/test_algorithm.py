@@ -212,7 +212,8 @@ EVERY_PART = {
     "novelty": NoveltyConfig(coef=1.0),
     "frontier": FrontierConfig(coef=1.0),
     "imitation": ImitationConfig(coef=1.0, greedy_copies=1),
-    "random_copies": 1,
+    "solved_random_share": 0.5,
+    "solved_balance": 1.0,
 }
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import chex
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
@@ -15,6 +16,7 @@ from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     high_step_factor,
     low_entropy_coef,
+    sample_weight,
     skill_weight,
     unknown_share,
 )
@@ -78,6 +80,17 @@ def test_skills_gain_weight_by_what_q_d_does_not_know(half_solved):
     log_q = jnp.tile(jnp.log(jnp.array([1.0, 0.25])), (4, 1))
     assert_allclose(skill_weight(*half_solved, team_reward, log_q), 1 + 3 / 2)
     assert_allclose(skill_weight(*half_solved, team_reward, jnp.zeros((4, 2))), 1.0)
+
+
+def test_samples_are_balanced_as_the_task_is_solved(half_solved):
+    """A chance of 1 / 16 that all copies win. Two of three agents' samples have the same pair."""
+    parts, state = half_solved
+    skills = jnp.array([[0, 1, 1, 0]])
+    config = replace(parts.config, solved_balance=0.8)
+    weight = sample_weight(replace(parts, config=config), state, skills)
+    whole = np.array([[0.75, 0.75, 1.5]])
+    assert_allclose(weight, 1 + 0.8 / 16 * (whole - 1), rtol=1e-6)
+    assert sample_weight(parts, state, skills) is None
 
 
 @pytest.mark.parametrize(
@@ -174,6 +187,8 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
         ("solved_gain", 2.0),
         ("solved_entropy_coef", 2.0),
         ("sharpening", 2.0),
+        ("solved_random_share", 0.5),
+        ("solved_balance", 0.5),
         ("solved_step_factor", 0.5),
         ("solved_low_step_factor", 0.5),
     ],

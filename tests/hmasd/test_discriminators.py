@@ -9,14 +9,17 @@ from numpy.testing import assert_allclose
 
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.discriminators import (
+    LARGEST_WEIGHT,
     Discriminators,
     SkillPair,
+    balance,
     center,
     discriminator_loss,
     log_q,
     log_q_of_skills,
     make_discriminators,
     observe,
+    weigh,
 )
 from hmasd_jax.rl.ppo import PPOConfig
 
@@ -157,3 +160,47 @@ def test_q_d_sees_the_chosen_features_only():
     seen = observe(PAIR, config, jax.random.key(0))
     np.testing.assert_array_equal(seen.obs, PAIR.obs[..., [2, 0]])
     assert seen.state is PAIR.state
+
+
+def test_balanced_pairs_of_skills_have_the_same_total_weight():
+    """(0, 1) is in use three times, (1, 1) once, and the other pairs never."""
+    config = HMASDConfig(num_team_skills=2, num_skills=2)
+    skills = jnp.array([[0, 1], [0, 1], [0, 1], [1, 1]])
+    weight = balance(skills, config)
+    assert weight.shape == (4, 1)
+    assert_allclose(weight[:, 0], [2 / 3, 2 / 3, 2 / 3, 2], rtol=1e-6)
+
+
+def test_a_rare_pair_has_a_bounded_weight():
+    """One of 1,000 samples would weigh as much as all others."""
+    config = HMASDConfig(num_team_skills=1, num_skills=2)
+    skills = jnp.zeros((1000, 2), int).at[0, 1].set(1)
+    weight = balance(skills, config)
+    assert_allclose(weight[0] / weight[1], LARGEST_WEIGHT / (1 / (2 * 0.999)), rtol=1e-5)
+
+
+def test_a_classifier_learns_no_preference_from_balanced_skills():
+    """q_d sees nothing here. Nine of ten samples have skill 0, and it stays at even chances."""
+    config = HMASDConfig(num_team_skills=1, num_skills=2)
+    skills = jnp.zeros((10, 2), int).at[0, 1].set(1)
+    logit = jnp.array([0.0, 0.0])
+
+    def gradient(weight):
+        def loss(logit):
+            log_q = jax.nn.log_softmax(logit)[skills[:, 1:]]
+            return -weigh(log_q, weight).mean()
+
+        return jax.grad(loss)(logit)
+
+    assert_allclose(gradient(balance(skills, config)), [0.0, 0.0], atol=1e-6)
+    assert_allclose(gradient(None), [-0.4, 0.4], atol=1e-6)
+
+
+def test_weights_count_in_the_loss_of_q_d_alone():
+    weight = jnp.array([[0.5, 1.5]])
+    _, plain = discriminator_loss(PARAMS, _fixed(), PAIR)
+    _, metrics = discriminator_loss(PARAMS, _fixed(), PAIR._replace(weight=weight))
+    log_q = log_q_of_skills(PARAMS, _fixed(), PAIR)[1]
+    assert_allclose(metrics["individual_loss"], -(log_q * weight).mean(), rtol=1e-6)
+    assert metrics["individual_loss"] != plain["individual_loss"]
+    assert metrics["team_loss"] == plain["team_loss"]

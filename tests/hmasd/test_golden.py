@@ -91,6 +91,7 @@ def rollout_of(data):
     extras = Extras(
         low=jax.tree.map(lambda x: x[:T], memory), log_prob=data["old_low_log_prob"],
         value=data["old_low_value"][..., 0], assignment=in_use, renewed=renewed,
+        sampled=renewed,
     )  # fmt: skip
     following = Assignment(
         data["next_skills"], np.zeros((E, 1 + N), np.float32), data["next_high_value"]

@@ -1,14 +1,11 @@
 """High-level batches and segments of a constructed rollout, computed by hand."""
 
-from dataclasses import replace
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.batches import find_segments, high_batch
 from hmasd_jax.rl.value_norm import ValueNorm
 from tests.helpers.constructed_rollout import UNIT, make_parts, make_rollout
@@ -110,12 +107,14 @@ def test_segments_know_their_own_end():
     np.testing.assert_array_equal(segments.done[:, 0], [False, False, True, True])
 
 
-def test_greedy_copies_have_no_part_in_the_high_level_batch(parts, trained, rollout):
-    greedy = replace(
-        parts, config=replace(parts.config, imitation=ImitationConfig(greedy_copies=2))
-    )
+def test_only_what_the_coordinator_sampled_is_in_the_high_level_batch(parts, trained, rollout):
+    """Two copies act greedily, say, and of the others the first segment is random."""
+    extras = rollout.transitions.extras
+    sampled = extras.sampled.at[:, :2].set(False).at[0].set(False)
+    transitions = rollout.transitions._replace(extras=extras._replace(sampled=sampled))
     high = high_batch(
-        greedy, trained.coordinator.params, trained.coordinator_norm, rollout, jax.random.key(0)
-    )
-    others = rollout.transitions.extras.assignment.value[:, 2:].reshape(-1, high.target.shape[-1])
+        parts, trained.coordinator.params, trained.coordinator_norm,
+        rollout._replace(transitions=transitions), jax.random.key(0),
+    )  # fmt: skip
+    others = extras.assignment.value[5:, 2:].reshape(-1, high.target.shape[-1])
     assert all((value == others).all(-1).any() for value in high.assignment.value)

@@ -85,6 +85,9 @@ def test_greedy_copies_take_the_most_likely_skills_and_actions(rollout, parts, t
     # The other copies play as they would without.
     np.testing.assert_array_equal(steps.action[:, 2:], sampled.action[:, 2:])
     assert (steps.action[:, :2] != sampled.action[:, :2]).any()
+    # The coordinator learns from them alone.
+    assert not steps.extras.sampled[:, :2].any()
+    np.testing.assert_array_equal(steps.extras.sampled[:, 2:], steps.extras.renewed[:, 2:])
 
 
 def _timestep(env, key, batch):

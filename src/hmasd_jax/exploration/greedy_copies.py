@@ -63,11 +63,7 @@ def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
 
 
 def actions_entropy_coef(
-    bonus: Bonus,
-    bonus_state: Any,
-    config: Settings,
-    coef: float,
-    random: bool | Bool[Array, " E"] = False,
+    bonus: Bonus, bonus_state: Any, config: Settings, coef: float
 ) -> float | Float[Array, ""]:
     """Return the coefficient of the actions' entropy, which may fall below 0 on a solved task.
 
@@ -81,14 +77,12 @@ def actions_entropy_coef(
         bonus_state: state of the bonus.
         config: settings of the greedy copies and of sharpening.
         coef: coefficient before the weight of the bonus and before sharpening.
-        random: copies that may lose by their skills, which sure actions would not mend.
     """
     faded = coef * bonus.entropy_weight(bonus_state)
     if config.sharpening == 0:
         return faded
     greedy = jnp.asarray(mark_greedy(config))
-    sampled = ~greedy if random is False else ~greedy & ~random
-    lost = bonus.unsolved(bonus_state, sampled) - bonus.unsolved(bonus_state, greedy)
+    lost = bonus.unsolved(bonus_state, ~greedy) - bonus.unsolved(bonus_state, greedy)
     chance = all_solved(bonus, bonus_state, config.ppo.num_envs)
     return faded - config.sharpening * jnp.maximum(lost, 0.0) * chance
 

@@ -15,6 +15,7 @@ from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     high_step_factor,
     low_entropy_coef,
+    sample_weight,
     skill_weight,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
@@ -26,8 +27,10 @@ from hmasd_jax.hmasd.discriminators import (
     discriminator_loss,
     log_q_of_skills,
     observe,
+    weigh,
 )
 from hmasd_jax.hmasd.policy import make_policy
+from hmasd_jax.hmasd.random_segments import random_share
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.hmasd.rollout_phase import (
     Rollout,
@@ -117,21 +120,18 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     """
     key, key_collect, key_choose, key_high, key_low, key_pairs = jax.random.split(state.key, 6)
     rollout = collect(
-        parts,
-        state.coordinator.params,
-        state.discoverer.params,
-        state.env,
-        state.memory,
-        key_collect,
-    )
+        parts, state.coordinator.params, state.discoverer.params, state.env, state.memory,
+        key_collect, random_share(parts, state.bonus),
+    )  # fmt: skip
     key_noise, key_pairs = jax.random.split(key_pairs)
     # One sample per step, the shape they are trained on, so that the networks compile once.
     pairs = rollouts.flatten(observe(skill_pairs(parts, rollout), parts.config, key_noise))
+    pairs = pairs._replace(weight=sample_weight(parts, state.bonus, pairs.skills))
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )
     bonus_state, reward, bonus_metrics = all_rewards(
-        parts, state, rollout, log_q_team, log_q_individual, key_beside(key, 1)
+        parts, state, rollout, log_q_team, log_q_individual, pairs.weight, key_beside(key, 1)
     )
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
@@ -172,14 +172,17 @@ def all_rewards(
     rollout: Rollout,
     log_q_team: Float[Array, " B"],
     log_q_individual: Float[Array, "B N"],
+    balance: Float[Array, "B N"] | None,
     key: Key,
 ) -> tuple[Any, Float[Array, "T E N"], Metrics]:
     """Return the next state of the bonus, the rewards of the low level, and metrics.
 
-    The rewards are Eq. 4, distance along the skills, and the bonus. B counts the T * E steps.
+    The rewards are Eq. 4, distance along the skills, and the bonus. B counts the T * E steps, and
+    `balance` are the weights of the samples of q_d.
     """
     outcome = rollout.transitions.outcome
-    weight = skill_weight(parts, state.bonus, outcome.reward, log_q_individual)
+    balanced = weigh(log_q_individual, balance)
+    weight = skill_weight(parts, state.bonus, outcome.reward, balanced)
     reward = low_level_reward(
         outcome.reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
     ).reshape(*outcome.reward.shape, -1)

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Shaped
 
 from hmasd_jax.exploration.greedy_copies import (
-    leave_out,
     mark_greedy,
     normalize_and_blame,
 )
@@ -16,7 +15,6 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.coordinator import Assignment, HighBatch
 from hmasd_jax.hmasd.discriminators import SkillPair
 from hmasd_jax.hmasd.distance import SkillSteps
-from hmasd_jax.hmasd.random_copies import mark_random
 from hmasd_jax.hmasd.rewards import high_level_reward
 from hmasd_jax.hmasd.rollout_phase import Rollout
 from hmasd_jax.networks.actor_critic import SequenceBatch, sequences
@@ -43,6 +41,8 @@ class Segments(NamedTuple):
     """True where an episode ended with the segment's last step."""
     begins: Bool[Array, "T E"]
     """True at a segment's first step."""
+    sampled: Bool[Array, "T E"]
+    """True at a segment's first step if the coordinator sampled its skills."""
 
 
 def skill_pairs(parts: Parts, rollout: Rollout) -> SkillPair:
@@ -94,6 +94,7 @@ def find_segments(parts: Parts, params: dict, rollout: Rollout) -> Segments:
         terminated=_at(end, terminated[..., 0]),
         done=_at(end, outcome.done),
         begins=extras.renewed,
+        sampled=extras.sampled,
     )
 
 
@@ -114,8 +115,7 @@ def high_batch(
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
     The batch has `config.num_segments` samples: a random choice of the segments whose skills the
-    coordinator sampled, repeated if there are fewer. Copies that act greedily have none, nor have
-    random copies.
+    coordinator sampled, repeated if there are fewer.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -136,8 +136,7 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    learned = leave_out(leave_out(segments.begins, mark_greedy(config)), mark_random(config))
-    chosen = _choose(learned.reshape(-1), config.num_segments, key)
+    chosen = _choose(segments.sampled.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
     advantage = normalize_advantage(batch.advantage)
     if config.zero_reward_guard:

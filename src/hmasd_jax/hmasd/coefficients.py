@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, Int
 from hmasd_jax.exploration.bonus import all_solved
 from hmasd_jax.exploration.greedy_copies import actions_entropy_coef
 from hmasd_jax.hmasd.components import Parts
-from hmasd_jax.hmasd.random_copies import mark_random
+from hmasd_jax.hmasd.discriminators import balance
 
 
 def skill_weight(
@@ -32,7 +32,8 @@ def skill_weight(
         parts: static components.
         bonus_state: state of the bonus, which counts the episodes that are solved.
         team_reward: team reward of every step of the rollout.
-        log_q_individual: log q_d of each agent's skill in use, over all B = T E steps.
+        log_q_individual: log q_d of each agent's skill in use, over all B = T E steps, weighted if
+            skills are balanced.
     """
     config = parts.config
     if config.solved_gain == 0:
@@ -50,6 +51,21 @@ def unknown_share(log_q: Float[Array, "*batch"], num_skills: int) -> Float[Array
     one that always can, and 0 for a single skill.
     """
     return jnp.clip(-log_q.mean() / jnp.log(max(num_skills, 2)), 0.0, 1.0)
+
+
+def sample_weight(
+    parts: Parts, bonus_state: Any, skills: Int[Array, "B tokens"]
+) -> Float[Array, "B N"] | None:
+    """Return the weights of samples of q_d, which may become those of `balance` on a solved task.
+
+    None stands for equal weights without the setting. Until the task is solved, q_d may follow the
+    preferences of the coordinator, as in the paper.
+    """
+    config = parts.config
+    if config.solved_balance == 0:
+        return None
+    degree = config.solved_balance * all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+    return 1.0 + degree * (balance(skills, config) - 1.0)
 
 
 def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
@@ -78,9 +94,7 @@ def low_entropy_coef(
 ) -> float | Float[Array, ""]:
     """Return lambda_l, which may fall with the updates and as episodes are solved."""
     config = parts.config
-    coef = actions_entropy_coef(
-        parts.bonus, bonus_state, config, config.low_entropy_coef, mark_random(config)
-    )
+    coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

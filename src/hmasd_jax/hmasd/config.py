@@ -106,9 +106,14 @@ class HMASDConfig:
     solved_low_step_factor: float = 1.0
     """Factor of the discoverer's steps once a reward ends every episode. It falls from 1 with the
     chance that a reward ends the episodes of all copies. Needs the `frontier`, too."""
-    random_copies: int = 0
-    """Copies of the environment that draw all skills at random in training, so that none is
-    forgotten. The coordinator does not learn from them. The paper has none."""
+    solved_random_share: float = 0.0
+    """Share of the segments in training that draw all skills at random once the team solves its
+    task, so that none is forgotten. The coordinator does not learn from them. Needs the `frontier`.
+    The paper has none."""
+    solved_balance: float = 0.0
+    """Degree to which pairs of a team skill and an individual skill weigh alike in the loss of q_d
+    once the team solves its task. With 0 (the paper) q_d can learn which skills the coordinator
+    prefers, instead of what they do. Needs the `frontier`."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
@@ -134,9 +139,10 @@ class HMASDConfig:
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
         check_range(self, "solved_gain", "solved_entropy_coef", "sharpening", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
+        check_range(self, "solved_random_share", "solved_balance", low=0, high=1)
         check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, sharpening=0, solved_step_factor=1,
-            solved_low_step_factor=1,
+            self, solved_gain=0, solved_entropy_coef=0, solved_random_share=0, solved_balance=0,
+            sharpening=0, solved_step_factor=1, solved_low_step_factor=1,
         )  # fmt: skip
         check_sharpening(self.sharpening, self.imitation)
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
@@ -161,8 +167,6 @@ class HMASDConfig:
                 "choice of skills to learn from"
             )
         self.imitation.check_copies(ppo.num_envs)
-        others = ppo.num_envs - self.imitation.greedy_copies
-        check_range(self, "random_copies", low=0, high=others - 1)
         check_divides("num_heads", self.num_heads, "ppo.hidden_size", ppo.hidden_size)
         # The coordinator's samples are segments, fewer than the sequences of the low level.
         check_divides(

@@ -12,6 +12,9 @@ from hmasd_jax.networks.layer_norm import NormedDense
 from hmasd_jax.networks.recurrent import MLP, SMALL_GAIN, apply
 from hmasd_jax.types import Key, Metrics
 
+LARGEST_WEIGHT = 10.0
+"""Bound of a sample's weight in the loss of q_d, before weights are scaled to a mean of 1."""
+
 
 class Classifier(nn.Module):
     """MLP and linear head. The small gain of the head makes the first predictions uniform."""
@@ -43,6 +46,8 @@ class SkillPair(NamedTuple):
     """o_{t+1}."""
     skills: Int[Array, "*batch tokens"]
     """Z, then z^1..z^N."""
+    weight: Float[Array, "*batch N"] | None = None
+    """Weights of mean 1 in the loss of q_d; None if all samples weigh alike."""
 
 
 def make_discriminators(config: HMASDConfig) -> Discriminators:
@@ -91,6 +96,25 @@ def observe(pair: SkillPair, config: HMASDConfig, key: Key) -> SkillPair:
     return pair._replace(state=state, obs=obs)
 
 
+def balance(skills: Int[Array, "*batch tokens"], config: HMASDConfig) -> Float[Array, "*batch N"]:
+    """Return weights of mean 1 with which all pairs (Z, z^i) in use have the same total.
+
+    The weight of a rare pair is bounded.
+    """
+    num_pairs = config.num_team_skills * config.num_skills
+    pair = jax.nn.one_hot(skills[..., :1] * config.num_skills + skills[..., 1:], num_pairs)
+    share = pair.mean(tuple(range(pair.ndim - 1)))
+    weight = pair @ (1.0 / jnp.maximum(num_pairs * share, 1.0 / LARGEST_WEIGHT))
+    return weight / weight.mean()
+
+
+def weigh(
+    log_q: Float[Array, "*batch N"], weight: Float[Array, "*batch N"] | None
+) -> Float[Array, "*batch N"]:
+    """Multiply log q_d by the weights of its samples."""
+    return log_q if weight is None else log_q * weight
+
+
 def log_q(
     params: dict, networks: Discriminators, pair: SkillPair
 ) -> tuple[Float[Array, "*batch team_skills"], Float[Array, "*batch N skills"]]:
@@ -129,8 +153,9 @@ def discriminator_loss(
 ) -> tuple[Float[Array, ""], Metrics]:
     """Eq. 8: L_d = -E[log q_D(Z|s)] - sum_i E[log q_d(z^i|o^i, Z)] over the current rollout.
 
-    The sum over agents is a mean, like in the authors' code.
+    The sum over agents is a mean, like in the authors' code, weighted if skills are balanced.
     """
     team, individual, _ = log_q_of_skills(params, networks, pair)
+    individual = weigh(individual, pair.weight)
     metrics = {"team_loss": -team.mean(), "individual_loss": -individual.mean()}
     return metrics["team_loss"] + metrics["individual_loss"], metrics

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import TimeStep
-from hmasd_jax.exploration.greedy_copies import mark_greedy, per_agent
+from hmasd_jax.exploration.greedy_copies import leave_out, mark_greedy, per_agent
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, assign
 from hmasd_jax.hmasd.discoverer import init_memory
-from hmasd_jax.hmasd.random_copies import mark_random, replace_skills
+from hmasd_jax.hmasd.random_segments import mark_random, replace_skills
 from hmasd_jax.networks.actor_critic import ActorCriticMemory
 from hmasd_jax.rl.categorical import choose
 from hmasd_jax.rl.rollout import unroll
@@ -41,6 +41,8 @@ class Extras(NamedTuple):
     """Skills in use."""
     renewed: Bool[Array, "*T E"]
     """True where skills were drawn at this step, so that a segment begins."""
+    sampled: Bool[Array, "*T E"]
+    """True where the coordinator sampled them: they are neither its likeliest nor random ones."""
 
 
 class Rollout(NamedTuple):
@@ -80,15 +82,19 @@ def collect(
     env: EnvCarry,
     memory: RolloutMemory,
     key: Key,
+    random_share: float | Float[Array, ""] = 0.0,
 ) -> Rollout:
-    """Roll out for T steps with the given parameters of coordinator and discoverer."""
+    """Roll out for T steps with the given parameters of coordinator and discoverer.
+
+    A share of the segments draws all skills at random if `config.solved_random_share` is set.
+    """
     key_rollout, key_next = jax.random.split(key)
     config = parts.config
     if config.segment_clock == "rollout":
         # T is a multiple of k, so this changes no value. But a constant clock does not depend on
         # the seed, so that under vmap over seeds the coordinator still runs only every k steps.
         memory = memory._replace(clock=jnp.zeros_like(memory.clock))
-    step_fn = _act_and_evaluate(parts, coordinator, discoverer)
+    step_fn = _act_and_evaluate(parts, coordinator, discoverer, random_share)
     env, memory, transitions = unroll(
         parts.env, step_fn, env, memory, key_rollout, config.ppo.rollout_length
     )
@@ -96,7 +102,8 @@ def collect(
     state, obs = env.timestep.state, env.timestep.obs
     greedy = mark_greedy(config)
     fresh = assign(parts.coordinator, coordinator, state, obs, key_next, greedy)
-    fresh = replace_skills(parts.coordinator, fresh, key_next, mark_random(config))
+    random = mark_random(config, random_share, key_next)
+    fresh = replace_skills(parts.coordinator, fresh, key_next, random)
     skills = jnp.where(renewed[:, None], fresh.skills, memory.assignment.skills)
     return Rollout(
         transitions=transitions,
@@ -115,17 +122,20 @@ def read_clock(
     return clock, clock % config.skill_interval == 0
 
 
-def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> StepFn:
+def _act_and_evaluate(
+    parts: Parts, coordinator: dict, discoverer: dict, random_share: float | Float[Array, ""]
+) -> StepFn:
     """Build a step that renews due skills, samples a^i ~ pi_l(.|o^i, z^i) and evaluates V_l.
 
-    Copies that act greedily take the most likely skills and actions. Random copies draw all skills
-    with the same chance.
+    Copies that act greedily take the most likely skills and actions. A share of the segments draws
+    all skills with the same chance.
     """
-    greedy, random = mark_greedy(parts.config), mark_random(parts.config)
+    greedy = mark_greedy(parts.config)
 
     def step_fn(memory: RolloutMemory, timestep: TimeStep, first, key):
         key_assign, key_act = jax.random.split(key)
         clock, renewed = read_clock(parts.config, memory.clock, first)
+        random = mark_random(parts.config, random_share, key_assign)
         assignment = renew(
             parts, coordinator, memory.assignment, timestep, renewed, key_assign, greedy,
             random=random,
@@ -144,6 +154,7 @@ def _act_and_evaluate(parts: Parts, coordinator: dict, discoverer: dict) -> Step
             value=value,
             assignment=assignment,
             renewed=renewed,
+            sampled=leave_out(leave_out(renewed, greedy), random),
         )
         low = ActorCriticMemory(actor=actor, critic=critic)
         return RolloutMemory(low=low, assignment=assignment, clock=clock + 1), action, extras
