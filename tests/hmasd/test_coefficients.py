@@ -68,7 +68,7 @@ def half_solved(parts):
 def test_skills_gain_weight_with_what_a_solved_task_pays(half_solved):
     """A chance of 1 / 16 that all copies win, at 0.25 a step and lambda_e 8: 1 + 24 / 16 x 2."""
     team_reward = jnp.array([[0.0, 1.0], [0.0, 0.0]])
-    unknown = jnp.full((4, 2), -jnp.log(4.0))
+    unknown = unknown_share(jnp.full((4, 2), -jnp.log(4.0)), None, 4)
     assert_allclose(skill_weight(*half_solved, team_reward, unknown), 4.0)
     assert_allclose(skill_weight(*half_solved, -team_reward, unknown), 1.0)
     assert_allclose(high_entropy_coef(*half_solved), 0.3)
@@ -78,8 +78,9 @@ def test_skills_gain_weight_by_what_q_d_does_not_know(half_solved):
     """q_d gives one skill of two agents for sure and knows nothing of the other's: a half."""
     team_reward = jnp.array([[0.0, 1.0], [0.0, 0.0]])
     log_q = jnp.tile(jnp.log(jnp.array([1.0, 0.25])), (4, 1))
-    assert_allclose(skill_weight(*half_solved, team_reward, log_q), 1 + 3 / 2)
-    assert_allclose(skill_weight(*half_solved, team_reward, jnp.zeros((4, 2))), 1.0)
+    half, nothing = (unknown_share(x, None, 4) for x in (log_q, jnp.zeros((4, 2))))
+    assert_allclose(skill_weight(*half_solved, team_reward, half), 1 + 3 / 2)
+    assert_allclose(skill_weight(*half_solved, team_reward, nothing), 1.0)
 
 
 def test_samples_are_balanced_as_the_task_is_solved(half_solved):
@@ -99,7 +100,16 @@ def test_samples_are_balanced_as_the_task_is_solved(half_solved):
 )
 def test_what_q_knows_is_measured_against_chance(q, num_skills, expected):
     """A q that is sure of the wrong skill knows nothing, and no less."""
-    assert_allclose(unknown_share(jnp.log(jnp.full((3, 2), q)), num_skills), expected, atol=1e-6)
+    log_q = jnp.log(jnp.full((3, 2), q))
+    assert_allclose(unknown_share(log_q, None, num_skills), expected, atol=1e-6)
+
+
+def test_what_q_knows_of_rare_skills_counts_as_much():
+    """q is sure of the skill of three samples, and knows nothing of that of the fourth."""
+    log_q = jnp.array([[0.0], [0.0], [0.0], [-jnp.log(4.0)]])
+    weight = jnp.array([[2 / 3], [2 / 3], [2 / 3], [2.0]])
+    assert_allclose(unknown_share(log_q, weight, 4), 0.5, rtol=1e-6)
+    assert_allclose(unknown_share(log_q, None, 4), 0.25, rtol=1e-6)
 
 
 def test_without_the_settings_nothing_is_traced(half_solved):
@@ -107,7 +117,7 @@ def test_without_the_settings_nothing_is_traced(half_solved):
     parts, state = half_solved
     config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
     parts = replace(parts, config=config)
-    assert type(skill_weight(parts, state, jnp.ones((2, 2)), jnp.ones((4, 2)))) is float
+    assert type(skill_weight(parts, state, jnp.ones((2, 2)), 1.0)) is float
     assert type(high_entropy_coef(parts, state)) is float
     assert type(high_step_factor(parts, state)) is float
 
@@ -149,10 +159,10 @@ def test_a_factor_of_zero_stops_its_level_alone(parts, trained, level, other, na
         chex.assert_trees_all_close(held.params, moved.params, atol=1e-4)
 
 
-def entropy_weight(parts, num_updates, bonus_state=(), **changes):
+def entropy_weight(parts, num_updates, bonus_state=(), unknown=1.0, **changes):
     """Return lambda_l after a number of updates, with other settings."""
     parts = replace(parts, config=replace(parts.config, low_entropy_coef=0.4, **changes))
-    return low_entropy_coef(parts, bonus_state, jnp.int32(num_updates))
+    return low_entropy_coef(parts, bonus_state, jnp.int32(num_updates), unknown)
 
 
 def test_the_low_entropy_weight_can_fall_linearly_to_zero(parts):
@@ -181,10 +191,20 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
     assert type(entropy_weight(parts, 9, state)) is float
 
 
+def test_the_low_entropy_weight_grows_by_what_q_d_does_not_know_of_a_solved_task(half_solved):
+    """A chance of 1 / 16 that all copies win, and q_d knows three quarters."""
+    values = [
+        entropy_weight(*order, solved_low_entropy_coef=1.6)
+        for order in ((half_solved[0], 9, half_solved[1], 0.25), (half_solved[0], 9, 1.0, 1.0))
+    ]
+    assert_allclose(values, [0.4 + 1.6 / 16 / 4, 0.4], rtol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("solved_gain", 2.0),
+        ("solved_low_entropy_coef", 2.0),
         ("solved_entropy_coef", 2.0),
         ("sharpening", 2.0),
         ("solved_random_share", 0.5),

@@ -17,6 +17,7 @@ from hmasd_jax.hmasd.coefficients import (
     low_entropy_coef,
     sample_weight,
     skill_weight,
+    unknown_share,
 )
 from hmasd_jax.hmasd.components import Parts, init_learners, make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -27,7 +28,6 @@ from hmasd_jax.hmasd.discriminators import (
     discriminator_loss,
     log_q_of_skills,
     observe,
-    weigh,
 )
 from hmasd_jax.hmasd.policy import make_policy
 from hmasd_jax.hmasd.random_segments import random_share
@@ -130,14 +130,15 @@ def train_iteration(parts: Parts, state: HMASDState) -> tuple[HMASDState, Metric
     log_q_team, log_q_individual, q_metrics = log_q_of_skills(
         state.discriminators.params, parts.discriminators, pairs
     )
+    unknown = unknown_share(log_q_individual, pairs.weight, parts.config.num_skills)
     bonus_state, reward, bonus_metrics = all_rewards(
-        parts, state, rollout, log_q_team, log_q_individual, pairs.weight, key_beside(key, 1)
+        parts, state, rollout, log_q_team, log_q_individual, unknown, key_beside(key, 1)
     )
     high = high_batch(parts, state.coordinator.params, state.coordinator_norm, rollout, key_choose)
     low = low_batch(parts, state.discoverer.params, state.discoverer_norm, rollout, reward)
 
     coordinator, coordinator_norm, high_metrics = train_coordinator(parts, state, high, key_high)
-    discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low)
+    discoverer, discoverer_norm, low_metrics = train_discoverer(parts, state, low, key_low, unknown)
     discriminators, d_metrics = train_discriminators(parts, state, pairs, key_pairs)
     discoverer, explored, explore_metrics = train_exploration(
         parts, state, rollout, low, discoverer, key
@@ -172,17 +173,16 @@ def all_rewards(
     rollout: Rollout,
     log_q_team: Float[Array, " B"],
     log_q_individual: Float[Array, "B N"],
-    balance: Float[Array, "B N"] | None,
+    unknown: Float[Array, ""],
     key: Key,
 ) -> tuple[Any, Float[Array, "T E N"], Metrics]:
     """Return the next state of the bonus, the rewards of the low level, and metrics.
 
     The rewards are Eq. 4, distance along the skills, and the bonus. B counts the T * E steps, and
-    `balance` are the weights of the samples of q_d.
+    `unknown` is what q_d does not know.
     """
     outcome = rollout.transitions.outcome
-    balanced = weigh(log_q_individual, balance)
-    weight = skill_weight(parts, state.bonus, outcome.reward, balanced)
+    weight = skill_weight(parts, state.bonus, outcome.reward, unknown)
     reward = low_level_reward(
         outcome.reward.reshape(-1), log_q_team, log_q_individual, parts.config, weight
     ).reshape(*outcome.reward.shape, -1)
@@ -217,10 +217,14 @@ def coordinator_objective(
 
 
 def train_discoverer(
-    parts: Parts, state: HMASDState, batch: SequenceBatch, key: Key
+    parts: Parts,
+    state: HMASDState,
+    batch: SequenceBatch,
+    key: Key,
+    unknown: float | Float[Array, ""] = 0.0,
 ) -> tuple[Learner, ValueNorm, Metrics]:
-    """Train on Eq. 7 for the configured epochs."""
-    entropy_coef = low_entropy_coef(parts, state.bonus, state.num_updates)
+    """Train on Eq. 7 for the configured epochs. `unknown` is what q_d does not know."""
+    entropy_coef = low_entropy_coef(parts, state.bonus, state.num_updates, unknown)
 
     def loss_fn(params, norm, batch):
         return discoverer_loss(params, parts.discoverer, norm, batch, parts.config, entropy_coef)

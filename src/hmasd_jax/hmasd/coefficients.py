@@ -12,14 +12,14 @@ from jaxtyping import Array, Float, Int
 from hmasd_jax.exploration.bonus import all_solved
 from hmasd_jax.exploration.greedy_copies import actions_entropy_coef
 from hmasd_jax.hmasd.components import Parts
-from hmasd_jax.hmasd.discriminators import balance
+from hmasd_jax.hmasd.discriminators import balance, weigh
 
 
 def skill_weight(
     parts: Parts,
     bonus_state: Any,
     team_reward: Float[Array, "T E"],
-    log_q_individual: Float[Array, "B N"],
+    unknown: float | Float[Array, ""],
 ) -> float | Float[Array, ""]:
     """Return the factor of the rewards for skills.
 
@@ -32,25 +32,31 @@ def skill_weight(
         parts: static components.
         bonus_state: state of the bonus, which counts the episodes that are solved.
         team_reward: team reward of every step of the rollout.
-        log_q_individual: log q_d of each agent's skill in use, over all B = T E steps, weighted if
-            skills are balanced.
+        unknown: `unknown_share` of q_d.
     """
     config = parts.config
     if config.solved_gain == 0:
         return 1.0
     earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
-    unknown = unknown_share(log_q_individual, config.num_skills)
     solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
     return 1.0 + config.solved_gain * solved * earned * unknown
 
 
-def unknown_share(log_q: Float[Array, "*batch"], num_skills: int) -> Float[Array, ""]:
+def unknown_share(
+    log_q: Float[Array, "*batch"], weight: Float[Array, "*batch"] | None, num_skills: int
+) -> Float[Array, ""]:
     """Return the part of a uniform choice of skills that q does not know, in [0, 1].
 
     It is the cross-entropy of q in units of ln n_z: 1 for a q that cannot tell skills apart, 0 for
     one that always can, and 0 for a single skill.
+
+    Args:
+        log_q: log q of the skills in use.
+        weight: weights of the samples; None if all weigh alike.
+        num_skills: n_z.
     """
-    return jnp.clip(-log_q.mean() / jnp.log(max(num_skills, 2)), 0.0, 1.0)
+    cross_entropy = -weigh(log_q, weight).mean()
+    return jnp.clip(cross_entropy / jnp.log(max(num_skills, 2)), 0.0, 1.0)
 
 
 def sample_weight(
@@ -90,11 +96,27 @@ def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]
 
 
 def low_entropy_coef(
-    parts: Parts, bonus_state: Any, num_updates: Int[Array, ""]
+    parts: Parts,
+    bonus_state: Any,
+    num_updates: Int[Array, ""],
+    unknown: float | Float[Array, ""],
 ) -> float | Float[Array, ""]:
-    """Return lambda_l, which may fall with the updates and as episodes are solved."""
+    """Return lambda_l, which may fall with the updates and as episodes are solved.
+
+    Where q_d cannot tell the skills of a solved task apart, it may rise: actions that hardly vary
+    leave the rewards for skills nothing to choose from.
+
+    Args:
+        parts: static components.
+        bonus_state: state of the bonus, which counts the episodes that are solved.
+        num_updates: updates so far.
+        unknown: `unknown_share` of q_d.
+    """
     config = parts.config
     coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
+    if config.solved_low_entropy_coef > 0:
+        solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+        coef = coef + config.solved_low_entropy_coef * solved * unknown
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

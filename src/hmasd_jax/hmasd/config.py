@@ -106,6 +106,10 @@ class HMASDConfig:
     solved_low_step_factor: float = 1.0
     """Factor of the discoverer's steps once a reward ends every episode. It falls from 1 with the
     chance that a reward ends the episodes of all copies. Needs the `frontier`, too."""
+    solved_low_entropy_coef: float = 0.0
+    """Weight that the entropy of actions gains once the team solves its task, times what q_d does
+    not know yet: actions that hardly vary leave skills nothing to differ in. Needs the `frontier`.
+    The paper has none."""
     solved_random_share: float = 0.0
     """Share of the segments in training that draw all skills at random once the team solves its
     task, so that none is forgotten. The coordinator does not learn from them. Needs the `frontier`.
@@ -137,12 +141,14 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
-        check_range(self, "solved_gain", "solved_entropy_coef", "sharpening", low=0)
+        check_range(self, "solved_gain", "solved_entropy_coef", "solved_low_entropy_coef", low=0)
+        check_range(self, "sharpening", low=0)
         check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
         check_range(self, "solved_random_share", "solved_balance", low=0, high=1)
         check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, solved_random_share=0, solved_balance=0,
-            sharpening=0, solved_step_factor=1, solved_low_step_factor=1,
+            self, solved_gain=0, solved_entropy_coef=0, solved_low_entropy_coef=0,
+            solved_random_share=0, solved_balance=0, sharpening=0, solved_step_factor=1,
+            solved_low_step_factor=1,
         )  # fmt: skip
         check_sharpening(self.sharpening, self.imitation)
         if self.solved_gain > 0 and self.extrinsic_coef == 0:
