@@ -69,6 +69,8 @@ full length, and skills that are paid in Overcooked, too |
 coordinator's |
 | `_unsharpened` | a step before the row without it: actions are not sharpened, and the frontier \
 pays the step of a success, and counts an episode several times in a bin that was made of several |
+| `_unmixed` | a step before the row without it: on solved tasks no skills are drawn at random, \
+q_d is not balanced, actions gain no entropy, and the gain is 3 |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |

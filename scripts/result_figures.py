@@ -16,7 +16,7 @@ RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets."""
 EARLIER = (
     "hmasd_general_before", "hmasd_general_clipped", "hmasd_general_coordinator",
-    "hmasd_general_both_levels", "hmasd_general_unsharpened",
+    "hmasd_general_both_levels", "hmasd_general_unsharpened", "hmasd_general_unmixed",
 )  # fmt: skip
 """Beginnings of the names of runs with earlier forms of the general preset."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
