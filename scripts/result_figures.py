@@ -10,15 +10,17 @@ from scripts.records import RESULTS
 
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
-TOGETHER = ("compared", "general", "earlier", "retired", "ablations", *SKILLS)
+TOGETHER = ("compared", "general", "previous", "earlier", "retired", "ablations", *SKILLS)
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets."""
 EARLIER = (
     "hmasd_general_before", "hmasd_general_clipped", "hmasd_general_coordinator",
-    "hmasd_general_both_levels", "hmasd_general_unsharpened", "hmasd_general_unmixed",
+    "hmasd_general_both_levels",
 )  # fmt: skip
 """Beginnings of the names of runs with earlier forms of the general preset."""
+PREVIOUS = ("hmasd_general_unsharpened", "hmasd_general_unmixed")
+"""Beginnings of the names of runs with its last forms before today's."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
 """Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
 STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
@@ -34,14 +36,14 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
         rest[:] = [path for path in rest if path not in found]
         return found
 
-    retired, earlier = take(*RETIRED), take(*EARLIER)
+    retired, earlier, previous = take(*RETIRED), take(*EARLIER), take(*PREVIOUS)
     general, ablations = take(*GENERAL), take("no")
     skills = [take(f"hmasd_{setting}") for setting in SKILLS]
     full = [path for path in rest if path.stem == "hmasd"]
     ours = [path for path in rest if path.stem == "hmasd_general"]
     systems = [path for path in rest if path not in full]
-    beside = (full, full + ours, ours, *[full] * len(TOGETHER[3:]))
-    groups = (systems, general, earlier, retired, ablations, *skills)
+    beside = (full, full + ours, ours, ours, *[full] * len(TOGETHER[4:]))
+    groups = (systems, general, previous, earlier, retired, ablations, *skills)
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
 
