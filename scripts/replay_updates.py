@@ -16,9 +16,9 @@ import jax
 
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import high_batch
+from hmasd_jax.hmasd.coefficients import random_share
 from hmasd_jax.hmasd.components import Parts, make_parts
 from hmasd_jax.hmasd.policy import make_policy
-from hmasd_jax.hmasd.random_segments import random_share
 from hmasd_jax.hmasd.rollout_phase import collect
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.rl.sgd import ppo_step

@@ -12,7 +12,8 @@ from hmasd_jax.exploration.bonus import NO_BONUS
 from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.ablations import make_coordinator
-from hmasd_jax.hmasd.random_segments import mark_random, random_share, replace_skills
+from hmasd_jax.hmasd.coefficients import random_share
+from hmasd_jax.hmasd.random_segments import mark_random, replace_skills
 from hmasd_jax.hmasd.rollout_phase import blank_assignment, collect
 
 

@@ -88,9 +88,9 @@ def actions_entropy_coef(
 
 
 def leave_out(
-    chosen: Bool[Array, "T E *rest"], copies: bool | Bool[Array, "E *#rest"]
-) -> Bool[Array, "T E *rest"]:
-    """Leave out the copies that are marked."""
+    chosen: Bool[Array, "*batch"], copies: bool | Bool[Array, "..."]
+) -> Bool[Array, "*batch"]:
+    """Leave out the copies that are marked; `copies` is broadcast, and False if there is none."""
     return chosen if copies is False else chosen & ~copies
 
 

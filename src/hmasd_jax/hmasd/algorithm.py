@@ -15,6 +15,7 @@ from hmasd_jax.hmasd.coefficients import (
     high_entropy_coef,
     high_step_factor,
     low_entropy_coef,
+    random_share,
     sample_weight,
     skill_weight,
     unknown_share,
@@ -30,7 +31,6 @@ from hmasd_jax.hmasd.discriminators import (
     observe,
 )
 from hmasd_jax.hmasd.policy import make_policy
-from hmasd_jax.hmasd.random_segments import random_share
 from hmasd_jax.hmasd.rewards import low_level_reward
 from hmasd_jax.hmasd.rollout_phase import (
     Rollout,

@@ -15,6 +15,11 @@ from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.discriminators import balance, weigh
 
 
+def solved_chance(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the chance that a reward ends the episodes of all copies of the environment."""
+    return all_solved(parts.bonus, bonus_state, parts.config.ppo.num_envs)
+
+
 def skill_weight(
     parts: Parts,
     bonus_state: Any,
@@ -38,7 +43,7 @@ def skill_weight(
     if config.solved_gain == 0:
         return 1.0
     earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
-    solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+    solved = solved_chance(parts, bonus_state)
     return 1.0 + config.solved_gain * solved * earned * unknown
 
 
@@ -70,8 +75,14 @@ def sample_weight(
     config = parts.config
     if config.solved_balance == 0:
         return None
-    degree = config.solved_balance * all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+    degree = config.solved_balance * solved_chance(parts, bonus_state)
     return 1.0 + degree * (balance(skills, config) - 1.0)
+
+
+def random_share(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return the share of segments that draw skills at random; the number 0 without the setting."""
+    share = parts.config.solved_random_share
+    return share * solved_chance(parts, bonus_state) if share else 0.0
 
 
 def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
@@ -79,7 +90,7 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
     config = parts.config
     if config.solved_entropy_coef == 0:
         return config.high_entropy_coef
-    solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+    solved = solved_chance(parts, bonus_state)
     return config.high_entropy_coef + config.solved_entropy_coef * solved
 
 
@@ -115,7 +126,7 @@ def low_entropy_coef(
     config = parts.config
     coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
     if config.solved_low_entropy_coef > 0:
-        solved = all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
+        solved = solved_chance(parts, bonus_state)
         coef = coef + config.solved_low_entropy_coef * solved * unknown
     if not config.low_entropy_decay_updates:
         return coef

@@ -6,28 +6,16 @@ practice: in some segments all skills have the same chance, the prior of DIAYN (
 2019). All skills learn to succeed there, and are paid for being different.
 """
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hmasd_jax.exploration.bonus import all_solved
 from hmasd_jax.exploration.greedy_copies import leave_out, mark_greedy
-from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.hmasd.coordinator import Assignment, Coordinator
 from hmasd_jax.networks.transformer import draw_in_turn
 from hmasd_jax.rl.keys import key_beside
 from hmasd_jax.types import Key
-
-
-def random_share(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the share of segments that draw skills at random; the number 0 without the setting."""
-    config = parts.config
-    if config.solved_random_share == 0:
-        return 0.0
-    return config.solved_random_share * all_solved(parts.bonus, bonus_state, config.ppo.num_envs)
 
 
 def mark_random(
