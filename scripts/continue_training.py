@@ -1,6 +1,6 @@
 """Record how training goes on from a checkpoint, with other settings and other random numbers.
 
-python scripts/continue_training.py RUN OUT --seed 1 --step 400000 --set algorithm.solved_gain=0
+python scripts/continue_training.py RUN OUT --seed 1 --step 400000 --set algorithm.solved.balance=0
 
 OUT (JSON) gets one row per repetition: the success of the episodes that sample, in percent, over
 every five updates, or the mean team reward of a step where the environment counts no success.

@@ -34,8 +34,8 @@ def test_mappo_has_the_exploration_parts_of_the_general_preset():
     )
     assert (mappo.ppo, mappo.imitation) == (general.ppo, general.imitation)
     assert mappo.entropy_coef == general.low_entropy_coef
-    assert mappo.solved_step_factor == general.solved_low_step_factor
-    assert mappo.sharpening == general.sharpening
+    assert mappo.solved.step_factor == general.solved.step_factor
+    assert mappo.solved.sharpening == general.solved.sharpening
     coef = general.frontier.coef / general.extrinsic_coef
     assert mappo.frontier == dataclasses.replace(general.frontier, coef=coef)
 

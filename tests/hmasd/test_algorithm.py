@@ -15,6 +15,7 @@ from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.algorithm import make_hmasd
 from hmasd_jax.hmasd.batches import high_batch, low_batch
+from hmasd_jax.hmasd.config import SolvedSkillsConfig
 from hmasd_jax.hmasd.coordinator import coordinator_loss
 from hmasd_jax.hmasd.discoverer import discoverer_loss
 from hmasd_jax.hmasd.distance import DistanceConfig
@@ -212,8 +213,7 @@ EVERY_PART = {
     "novelty": NoveltyConfig(coef=1.0),
     "frontier": FrontierConfig(coef=1.0),
     "imitation": ImitationConfig(coef=1.0, greedy_copies=1),
-    "solved_random_share": 0.5,
-    "solved_balance": 1.0,
+    "solved": SolvedSkillsConfig(random_share=0.5, balance=1.0),
 }
 
 

@@ -13,14 +13,15 @@ from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.successes import NO_IMITATION, ImitationConfig
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (
+    coordinator_step_factor,
     high_entropy_coef,
-    high_step_factor,
     low_entropy_coef,
     sample_weight,
     skill_weight,
     unknown_share,
 )
 from hmasd_jax.hmasd.components import make_parts
+from hmasd_jax.hmasd.config import SolvedSkillsConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
 from tests.helpers.algorithms import lower_all
 
@@ -59,7 +60,7 @@ def half_solved(parts):
     """
     config = replace(
         parts.config, extrinsic_coef=8.0, high_entropy_coef=0.1, frontier=FrontierConfig(coef=1.0),
-        num_skills=4, solved_gain=24.0, solved_entropy_coef=3.2,
+        num_skills=4, solved=SolvedSkillsConfig(skill_gain=24.0, high_entropy_coef=3.2),
     )  # fmt: skip
     bonus = parts.bonus._replace(unsolved=lambda share, copies=True: share)
     return replace(parts, config=config, bonus=bonus), jnp.float32(0.5)
@@ -87,7 +88,7 @@ def test_samples_are_balanced_as_the_task_is_solved(half_solved):
     """A chance of 1 / 16 that all copies win. Two of three agents' samples have the same pair."""
     parts, state = half_solved
     skills = jnp.array([[0, 1, 1, 0]])
-    config = replace(parts.config, solved_balance=0.8)
+    config = replace(parts.config, solved=SolvedSkillsConfig(balance=0.8))
     weight = sample_weight(replace(parts, config=config), state, skills)
     whole = np.array([[0.75, 0.75, 1.5]])
     assert_allclose(weight, 1 + 0.8 / 16 * (whole - 1), rtol=1e-6)
@@ -115,32 +116,34 @@ def test_what_q_knows_of_rare_skills_counts_as_much():
 def test_without_the_settings_nothing_is_traced(half_solved):
     """A constant that becomes traced rounds the whole update differently."""
     parts, state = half_solved
-    config = replace(parts.config, solved_gain=0.0, solved_entropy_coef=0.0)
+    config = replace(parts.config, solved=SolvedSkillsConfig())
     parts = replace(parts, config=config)
     assert type(skill_weight(parts, state, jnp.ones((2, 2)), 1.0)) is float
     assert type(high_entropy_coef(parts, state)) is float
-    assert type(high_step_factor(parts, state)) is float
+    assert type(coordinator_step_factor(parts, state)) is float
 
 
 @pytest.mark.parametrize(("unsolved", "factor"), [(1.0, 1.0), (0.5, 0.55), (0.0, 0.1)])
 def test_steps_of_the_coordinator_shorten_as_episodes_are_solved(half_solved, unsolved, factor):
     parts, _ = half_solved
-    parts = replace(parts, config=replace(parts.config, solved_step_factor=0.1))
-    assert_allclose(high_step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
+    solved = SolvedSkillsConfig(coordinator_step_factor=0.1)
+    parts = replace(parts, config=replace(parts.config, solved=solved))
+    assert_allclose(coordinator_step_factor(parts, jnp.float32(unsolved)), factor, rtol=1e-6)
 
 
 @pytest.mark.parametrize(
     ("level", "other", "name"),
     [
-        ("coordinator", "discoverer", "solved_step_factor"),
-        ("discoverer", "coordinator", "solved_low_step_factor"),
+        ("coordinator", "discoverer", "coordinator_step_factor"),
+        ("discoverer", "coordinator", "step_factor"),
     ],
 )
 def test_a_factor_of_zero_stops_its_level_alone(parts, trained, level, other, name):
     """Adam's moments, the normalizers and the other learners go on. Imitation stops, too."""
 
     def update(factor):
-        config = replace(parts.config, frontier=FrontierConfig(coef=1.0), **{name: factor})
+        solved = SolvedSkillsConfig(**{name: factor})
+        config = replace(parts.config, frontier=FrontierConfig(coef=1.0), solved=solved)
         bonus = parts.bonus._replace(unsolved=lambda _: jnp.float32(0))
         imitation = NO_IMITATION._replace(train=lower_all)
         changed = replace(parts, config=config, bonus=bonus, imitation=imitation)
@@ -184,7 +187,10 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
     shares = jnp.array([0.125, 0.625, 0.625, 0.625])
     bonus = parts.bonus._replace(unsolved=lambda _, copies=True: shares.mean(where=copies))
     parts = replace(parts, bonus=bonus)
-    changes = {"sharpening": 16.0, "imitation": ImitationConfig(greedy_copies=1)}
+    changes = {
+        "solved": SolvedSkillsConfig(sharpening=16.0),
+        "imitation": ImitationConfig(greedy_copies=1),
+    }
     assert_allclose(entropy_weight(parts, 9, state, **changes), 0.4 - 0.5, rtol=1e-6)
     half = entropy_weight(parts, 2, state, low_entropy_decay_updates=4, **changes)
     assert_allclose(half, -0.05, rtol=1e-6)
@@ -194,7 +200,7 @@ def test_the_low_entropy_weight_falls_below_zero_once_all_copies_succeed(half_so
 def test_the_low_entropy_weight_grows_by_what_q_d_does_not_know_of_a_solved_task(half_solved):
     """A chance of 1 / 16 that all copies win, and q_d knows three quarters."""
     values = [
-        entropy_weight(*order, solved_low_entropy_coef=1.6)
+        entropy_weight(*order, solved=SolvedSkillsConfig(low_entropy_coef=1.6))
         for order in ((half_solved[0], 9, half_solved[1], 0.25), (half_solved[0], 9, 1.0, 1.0))
     ]
     assert_allclose(values, [0.4 + 1.6 / 16 / 4, 0.4], rtol=1e-6)
@@ -203,21 +209,22 @@ def test_the_low_entropy_weight_grows_by_what_q_d_does_not_know_of_a_solved_task
 @pytest.mark.parametrize(
     ("name", "value"),
     [
-        ("solved_gain", 2.0),
-        ("solved_low_entropy_coef", 2.0),
-        ("solved_entropy_coef", 2.0),
+        ("skill_gain", 2.0),
+        ("low_entropy_coef", 2.0),
+        ("high_entropy_coef", 2.0),
         ("sharpening", 2.0),
-        ("solved_random_share", 0.5),
-        ("solved_balance", 0.5),
-        ("solved_step_factor", 0.5),
-        ("solved_low_step_factor", 0.5),
+        ("random_share", 0.5),
+        ("balance", 0.5),
+        ("coordinator_step_factor", 0.5),
+        ("step_factor", 0.5),
     ],
 )
 def test_what_changes_on_solved_tasks_needs_to_know_them(config, name, value):
-    with pytest.raises(ValueError, match=rf"{name} {value} needs frontier.coef above 0"):
-        replace(config, **{name: value})
+    with pytest.raises(ValueError, match=rf"solved.{name} {value} needs frontier.coef above 0"):
+        replace(config, solved=SolvedSkillsConfig(**{name: value}))
 
 
 def test_a_gain_needs_what_it_is_measured_by(config):
-    with pytest.raises(ValueError, match=r"solved_gain 2.0 needs extrinsic_coef above 0"):
-        replace(config, solved_gain=2.0, frontier=FrontierConfig(coef=1.0), extrinsic_coef=0.0)
+    solved = SolvedSkillsConfig(skill_gain=2.0)
+    with pytest.raises(ValueError, match=r"solved.skill_gain 2.0 needs extrinsic_coef above 0"):
+        replace(config, solved=solved, frontier=FrontierConfig(coef=1.0), extrinsic_coef=0.0)

@@ -13,13 +13,15 @@ from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.coefficients import random_share
+from hmasd_jax.hmasd.config import SolvedSkillsConfig
 from hmasd_jax.hmasd.random_segments import mark_random, replace_skills
 from hmasd_jax.hmasd.rollout_phase import blank_assignment, collect
 
 
 def with_random_segments(parts, share=0.5, greedy_copies=0):
     config = replace(
-        parts.config, solved_random_share=share, frontier=FrontierConfig(coef=1.0),
+        parts.config, solved=SolvedSkillsConfig(random_share=share),
+        frontier=FrontierConfig(coef=1.0),
         imitation=ImitationConfig(greedy_copies=greedy_copies),
     )  # fmt: skip
     return replace(parts, config=config)

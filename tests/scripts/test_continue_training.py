@@ -34,9 +34,11 @@ def test_success_is_pooled_and_repetitions_draw_other_numbers(monkeypatch, tmp_p
     loaded = SimpleNamespace(state=Counted(jax.random.key(0), jnp.int32(0)))
     monkeypatch.setattr(script, "load_run", lambda *_: loaded)
     monkeypatch.setattr(
-        configs, "build", lambda config: (None, counting(config.algorithm.solved_step_factor))
+        configs,
+        "build",
+        lambda config: (None, counting(config.algorithm.solved.coordinator_step_factor)),
     )
-    settings = {"algorithm.solved_step_factor": 0.5, "algorithm.frontier.coef": 1.0}
+    settings = {"algorithm.solved.coordinator_step_factor": 0.5, "algorithm.frontier.coef": 1.0}
     rows = script.continue_training(run, 0, 0, settings, num_updates=10, repetitions=2)
     assert [row["repetition"] for row in rows] == [0, 1]
     # 0 + .. + 4 updates make 5 wins of 100, 5 + .. + 9 make 17.5; chance adds up to 2.5.

@@ -33,31 +33,6 @@ class Bonus(NamedTuple):
     copies of the environment that are marked."""
 
 
-def all_solved(bonus: Bonus, bonus_state: Any, num_envs: int) -> float | Float[Array, ""]:
-    """Return the chance that a reward ends the episodes of all copies of the environment."""
-    return (1.0 - bonus.unsolved(bonus_state)) ** num_envs
-
-
-def solved_step_factor(
-    bonus: Bonus, bonus_state: Any, num_envs: int, solved: float
-) -> float | Float[Array, ""]:
-    """Return the factor of a learner's steps, which may fall once all copies succeed.
-
-    Normalized advantages have no scale. Where every episode succeeds they are noise, which Adam
-    follows in steps of full length, and the policy drifts. Where some episodes fail it still
-    learns, and steps in proportion to these would leave the last ones unsolved.
-
-    Args:
-        bonus: bonus that counts the solved episodes.
-        bonus_state: state of the bonus.
-        num_envs: copies of the environment.
-        solved: factor once every episode is solved. With 1 the factor is a constant of Python.
-    """
-    if solved == 1:
-        return 1.0
-    return 1.0 - (1.0 - solved) * all_solved(bonus, bonus_state, num_envs)
-
-
 NO_BONUS = Bonus(
     init=lambda key: (),
     update=lambda bonus_state, outcome, key: (bonus_state, jnp.zeros_like(outcome.reward), {}),

@@ -33,7 +33,7 @@ ended. Battles that are won by a sequence of right actions are lost by one that 
 """
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -75,24 +75,6 @@ class FrontierConfig:
         if self.fade_entropy and self.coef == 0:
             raise ValueError(
                 "fade_entropy needs coef above 0: without the frontier no episodes are counted"
-            )
-
-
-def check_frontier_counts(config: Any, **constant: float) -> None:
-    """Check that solved episodes are counted if a setting depends on them.
-
-    Args:
-        config: settings of an algorithm, which include `frontier`.
-        **constant: the value of each such setting that needs no count.
-
-    Raises:
-        ValueError: a setting has another value and the frontier pays nothing.
-    """
-    for name, value in constant.items():
-        if getattr(config, name) != value and config.frontier.coef == 0:
-            raise ValueError(
-                f"{name} {getattr(config, name)} needs frontier.coef above 0: the frontier knows "
-                "when the task is solved"
             )
 
 

@@ -9,12 +9,11 @@ would never know.
 """
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Protocol
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from hmasd_jax.exploration.bonus import Bonus, all_solved
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 
@@ -32,24 +31,6 @@ class Settings(Protocol):
         """Settings of imitation."""
         ...
 
-    @property
-    def sharpening(self) -> float:
-        """Weight against entropy per share of episodes that sampling loses."""
-        ...
-
-
-def check_sharpening(sharpening: float, imitation: ImitationConfig) -> None:
-    """Check that some copies act greedily if what sampling loses is needed.
-
-    Raises:
-        ValueError: No copy acts greedily.
-    """
-    if sharpening > 0 and not imitation.greedy_copies:
-        raise ValueError(
-            f"sharpening {sharpening} needs imitation.greedy_copies above 0: they show what "
-            "sampling loses"
-        )
-
 
 def mark_greedy(config: Settings) -> bool | Bool[Array, " E"]:
     """Mark the copies that act greedily, which are the first; False if there is none."""
@@ -60,31 +41,6 @@ def mark_greedy(config: Settings) -> bool | Bool[Array, " E"]:
 def per_agent(greedy: bool | Bool[Array, " E"]) -> bool | Bool[Array, "E 1"]:
     """Return `greedy` with an axis for the agents."""
     return greedy if isinstance(greedy, bool) else greedy[:, None]
-
-
-def actions_entropy_coef(
-    bonus: Bonus, bonus_state: Any, config: Settings, coef: float
-) -> float | Float[Array, ""]:
-    """Return the coefficient of the actions' entropy, which may fall below 0 on a solved task.
-
-    Actions that are drawn at random lose some episodes which the likeliest ones win. Where nearly
-    all are won, few gradients tell the policy so. A negative coefficient then makes its actions
-    sure, in proportion to what sampling loses. Where it loses nothing, sure actions would only keep
-    the policy from learning the rest.
-
-    Args:
-        bonus: bonus that weighs the entropy and counts the solved episodes.
-        bonus_state: state of the bonus.
-        config: settings of the greedy copies and of sharpening.
-        coef: coefficient before the weight of the bonus and before sharpening.
-    """
-    faded = coef * bonus.entropy_weight(bonus_state)
-    if config.sharpening == 0:
-        return faded
-    greedy = jnp.asarray(mark_greedy(config))
-    lost = bonus.unsolved(bonus_state, ~greedy) - bonus.unsolved(bonus_state, greedy)
-    chance = all_solved(bonus, bonus_state, config.ppo.num_envs)
-    return faded - config.sharpening * jnp.maximum(lost, 0.0) * chance
 
 
 def leave_out(

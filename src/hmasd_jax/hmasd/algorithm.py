@@ -9,11 +9,11 @@ import optax
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment
-from hmasd_jax.exploration.bonus import solved_step_factor
+from hmasd_jax.exploration.solved import step_factor
 from hmasd_jax.hmasd.batches import high_batch, low_batch, skill_pairs, skill_steps
 from hmasd_jax.hmasd.coefficients import (
+    coordinator_step_factor,
     high_entropy_coef,
-    high_step_factor,
     low_entropy_coef,
     random_share,
     sample_weight,
@@ -212,8 +212,8 @@ def coordinator_objective(
     def loss_fn(params, norm, batch):
         return coordinator_loss(params, parts.coordinator, norm, batch, parts.config, entropy_coef)
 
-    step_factor = high_step_factor(parts, bonus_state)
-    return scale_steps(parts.coordinator_optimizer, step_factor), loss_fn
+    factor = coordinator_step_factor(parts, bonus_state)
+    return scale_steps(parts.coordinator_optimizer, factor), loss_fn
 
 
 def train_discoverer(
@@ -237,10 +237,7 @@ def train_discoverer(
 
 def discoverer_optimizer(parts: Parts, state: HMASDState) -> optax.GradientTransformation:
     """Return the optimizer of Eq. 7 and of imitation, with the step sizes of one update."""
-    config = parts.config
-    factor = solved_step_factor(
-        parts.bonus, state.bonus, config.ppo.num_envs, config.solved_low_step_factor
-    )
+    factor = step_factor(parts.bonus, state.bonus, parts.config)
     return scale_steps(parts.discoverer_optimizer, factor)
 
 

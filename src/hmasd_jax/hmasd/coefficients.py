@@ -9,15 +9,14 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
-from hmasd_jax.exploration.bonus import all_solved
-from hmasd_jax.exploration.greedy_copies import actions_entropy_coef
+from hmasd_jax.exploration.solved import actions_entropy_coef, solved_chance
 from hmasd_jax.hmasd.components import Parts
 from hmasd_jax.hmasd.discriminators import balance, weigh
 
 
-def solved_chance(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the chance that a reward ends the episodes of all copies of the environment."""
-    return all_solved(parts.bonus, bonus_state, parts.config.ppo.num_envs)
+def _solved(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+    """Return p, the chance that a reward ends the episodes of all copies of the environment."""
+    return solved_chance(parts.bonus, bonus_state, parts.config)
 
 
 def skill_weight(
@@ -39,12 +38,12 @@ def skill_weight(
         team_reward: team reward of every step of the rollout.
         unknown: `unknown_share` of q_d.
     """
-    config = parts.config
-    if config.solved_gain == 0:
+    gain = parts.config.solved.skill_gain
+    if gain == 0:
         return 1.0
-    earned = config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
-    solved = solved_chance(parts, bonus_state)
-    return 1.0 + config.solved_gain * solved * earned * unknown
+    earned = parts.config.extrinsic_coef * jnp.maximum(team_reward.mean(), 0.0)
+    solved = _solved(parts, bonus_state)
+    return 1.0 + gain * solved * earned * unknown
 
 
 def unknown_share(
@@ -72,35 +71,35 @@ def sample_weight(
     None stands for equal weights without the setting. Until the task is solved, q_d may follow the
     preferences of the coordinator, as in the paper.
     """
-    config = parts.config
-    if config.solved_balance == 0:
+    whole = parts.config.solved.balance
+    if whole == 0:
         return None
-    degree = config.solved_balance * solved_chance(parts, bonus_state)
-    return 1.0 + degree * (balance(skills, config) - 1.0)
+    degree = whole * _solved(parts, bonus_state)
+    return 1.0 + degree * (balance(skills, parts.config) - 1.0)
 
 
 def random_share(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
     """Return the share of segments that draw skills at random; the number 0 without the setting."""
-    share = parts.config.solved_random_share
-    return share * solved_chance(parts, bonus_state) if share else 0.0
+    share = parts.config.solved.random_share
+    return share * _solved(parts, bonus_state) if share else 0.0
 
 
 def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
     """Return lambda_h, which may rise once the task is solved."""
     config = parts.config
-    if config.solved_entropy_coef == 0:
+    if config.solved.high_entropy_coef == 0:
         return config.high_entropy_coef
-    solved = solved_chance(parts, bonus_state)
-    return config.high_entropy_coef + config.solved_entropy_coef * solved
+    solved = _solved(parts, bonus_state)
+    return config.high_entropy_coef + config.solved.high_entropy_coef * solved
 
 
-def high_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
+def coordinator_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
     """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
 
-    The reason is that of `exploration.bonus.solved_step_factor`. The noise would change the
+    The reason is that of `exploration.solved.step_factor`. The noise would change the
     assignments that the team needs.
     """
-    factor = parts.config.solved_step_factor
+    factor = parts.config.solved.coordinator_step_factor
     if factor == 1:
         return 1.0
     return factor + (1.0 - factor) * parts.bonus.unsolved(bonus_state)
@@ -125,9 +124,9 @@ def low_entropy_coef(
     """
     config = parts.config
     coef = actions_entropy_coef(parts.bonus, bonus_state, config, config.low_entropy_coef)
-    if config.solved_low_entropy_coef > 0:
-        solved = solved_chance(parts, bonus_state)
-        coef = coef + config.solved_low_entropy_coef * solved * unknown
+    if config.solved.low_entropy_coef > 0:
+        solved = _solved(parts, bonus_state)
+        coef = coef + config.solved.low_entropy_coef * solved * unknown
     if not config.low_entropy_decay_updates:
         return coef
     remaining = 1.0 - num_updates / config.low_entropy_decay_updates

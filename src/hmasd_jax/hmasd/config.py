@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts
-from hmasd_jax.exploration.greedy_copies import check_sharpening
+from hmasd_jax.exploration.frontier import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig
+from hmasd_jax.exploration.solved import SolvedConfig, check_solved
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.distance import DistanceConfig
 from hmasd_jax.networks.recurrent import SkillAt
@@ -20,6 +20,40 @@ from hmasd_jax.validation import (
 )
 
 CoordinatorKind = Literal["learned", "team_only", "random"]
+
+
+@dataclass(frozen=True)
+class SolvedSkillsConfig(SolvedConfig):
+    """Settings of what changes once the task is solved, in HMASD. The paper changes nothing.
+
+    p is the chance that a reward ends the episodes of all copies of the environment.
+    """
+
+    coordinator_step_factor: float = 1.0
+    """Factor of the coordinator's steps, which falls from 1 with the share of episodes that a
+    reward ends."""
+    skill_gain: float = 0.0
+    """Weight that the rewards for skills gain, in units of p lambda_e times the mean team reward of
+    a step and of what q_d does not know yet, so that skills become different ways to solve the
+    task."""
+    high_entropy_coef: float = 0.0
+    """Weight that the coordinator's entropy gains, in units of p, so that all skills stay in
+    use."""
+    low_entropy_coef: float = 0.0
+    """Weight that the entropy of actions gains, in units of p and of what q_d does not know yet:
+    actions that hardly vary leave skills nothing to differ in."""
+    random_share: float = 0.0
+    """Share of segments in training, in units of p, that draw all skills at random, so that none is
+    forgotten. The coordinator does not learn from them."""
+    balance: float = 0.0
+    """Degree, in units of p, to which pairs of a team skill and an individual skill weigh alike in
+    the loss of q_d. With 0 q_d can learn which skills the coordinator prefers, instead of what they
+    do."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_range(self, "skill_gain", "high_entropy_coef", "low_entropy_coef", low=0)
+        check_range(self, "coordinator_step_factor", "random_share", "balance", low=0, high=1)
 
 
 @dataclass(frozen=True)
@@ -88,36 +122,8 @@ class HMASDConfig:
     skill_prior: bool = False
     """If True, subtract log p of a uniform prior from the intrinsic rewards, like Eq. 1 and unlike
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
-    solved_gain: float = 0.0
-    """Weight that the rewards for skills gain once the team solves its task, in units of
-    lambda_e times the mean team reward of a step and of what q_d does not know yet, so that skills
-    become different ways to solve it. Needs the `frontier`, which counts the episodes that a reward
-    ends. The paper has none."""
-    solved_entropy_coef: float = 0.0
-    """Weight that the coordinator's entropy gains once the team solves its task, so that all skills
-    stay in use. Needs the `frontier`. The paper has none."""
-    sharpening: float = 0.0
-    """Weight against the entropy of actions, per share of episodes that sampled play loses and
-    greedy play wins, once the team solves its task. Needs the `frontier` and
-    `imitation.greedy_copies`. The paper has none."""
-    solved_step_factor: float = 1.0
-    """Factor of the coordinator's steps once a reward ends every episode. It is 1 while none does,
-    and linear between. Needs the `frontier`, which counts these episodes."""
-    solved_low_step_factor: float = 1.0
-    """Factor of the discoverer's steps once a reward ends every episode. It falls from 1 with the
-    chance that a reward ends the episodes of all copies. Needs the `frontier`, too."""
-    solved_low_entropy_coef: float = 0.0
-    """Weight that the entropy of actions gains once the team solves its task, times what q_d does
-    not know yet: actions that hardly vary leave skills nothing to differ in. Needs the `frontier`.
-    The paper has none."""
-    solved_random_share: float = 0.0
-    """Share of the segments in training that draw all skills at random once the team solves its
-    task, so that none is forgotten. The coordinator does not learn from them. Needs the `frontier`.
-    The paper has none."""
-    solved_balance: float = 0.0
-    """Degree to which pairs of a team skill and an individual skill weigh alike in the loss of q_d
-    once the team solves its task. With 0 (the paper) q_d can learn which skills the coordinator
-    prefers, instead of what they do. Needs the `frontier`."""
+    solved: SolvedSkillsConfig = field(default_factory=SolvedSkillsConfig)
+    """Changes once the task is solved. Needs the `frontier`. The paper has none."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)
@@ -141,20 +147,11 @@ class HMASDConfig:
         check_range(self, "high_entropy_coef", "low_entropy_coef", "extrinsic_coef", low=0)
         check_range(self, "team_intrinsic_coef", "individual_intrinsic_coef", low=0)
         check_range(self, "discriminator_noise", "low_advantage_floor", low=0)
-        check_range(self, "solved_gain", "solved_entropy_coef", "solved_low_entropy_coef", low=0)
-        check_range(self, "sharpening", low=0)
-        check_range(self, "solved_step_factor", "solved_low_step_factor", low=0, high=1)
-        check_range(self, "solved_random_share", "solved_balance", low=0, high=1)
-        check_frontier_counts(
-            self, solved_gain=0, solved_entropy_coef=0, solved_low_entropy_coef=0,
-            solved_random_share=0, solved_balance=0, sharpening=0, solved_step_factor=1,
-            solved_low_step_factor=1,
-        )  # fmt: skip
-        check_sharpening(self.sharpening, self.imitation)
-        if self.solved_gain > 0 and self.extrinsic_coef == 0:
+        check_solved(self)
+        if self.solved.skill_gain > 0 and self.extrinsic_coef == 0:
             raise ValueError(
-                f"solved_gain {self.solved_gain} needs extrinsic_coef above 0: the gain is in "
-                "units of what it pays"
+                f"solved.skill_gain {self.solved.skill_gain} needs extrinsic_coef above 0: the "
+                "gain is in units of what it pays"
             )
         check_indices(self, "discriminator_obs")
         if self.coordinator == "team_only" and self.num_skills != self.num_team_skills:

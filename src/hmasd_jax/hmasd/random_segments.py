@@ -25,7 +25,7 @@ def mark_random(
 
     Copies that act greedily keep the coordinator's choice.
     """
-    if config.solved_random_share == 0:
+    if config.solved.random_share == 0:
         return False
     random = jax.random.bernoulli(key_beside(key, 1), share, (config.ppo.num_envs,))
     return leave_out(random, mark_greedy(config))

@@ -86,7 +86,7 @@ def collect(
 ) -> Rollout:
     """Roll out for T steps with the given parameters of coordinator and discoverer.
 
-    A share of the segments draws all skills at random if `config.solved_random_share` is set.
+    A share of the segments draws all skills at random if `config.solved.random_share` is set.
     """
     key_rollout, key_next = jax.random.split(key)
     config = parts.config

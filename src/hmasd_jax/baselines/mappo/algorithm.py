@@ -21,13 +21,8 @@ from hmasd_jax.baselines.mappo.components import (
     init_memory,
     make_parts,
 )
-from hmasd_jax.exploration.bonus import solved_step_factor
-from hmasd_jax.exploration.greedy_copies import (
-    actions_entropy_coef,
-    mark_greedy,
-    normalize_and_blame,
-    per_agent,
-)
+from hmasd_jax.exploration.greedy_copies import mark_greedy, normalize_and_blame, per_agent
+from hmasd_jax.exploration.solved import actions_entropy_coef, step_factor
 from hmasd_jax.networks.actor_critic import (
     ActorCriticMemory,
     SequenceBatch,
@@ -229,10 +224,7 @@ def train_iteration(parts: Parts, state: MAPPOState) -> tuple[MAPPOState, Metric
     reward = (transitions.outcome.reward + bonus)[..., None]
     batch = make_batch(parts, state, transitions, env, memory.critic, reward)
     coef = actions_entropy_coef(parts.bonus, state.bonus, parts.config, parts.config.entropy_coef)
-    factor = solved_step_factor(
-        parts.bonus, state.bonus, ppo.num_envs, parts.config.solved_step_factor
-    )
-    optimizer = scale_steps(parts.optimizer, factor)
+    optimizer = scale_steps(parts.optimizer, step_factor(parts.bonus, state.bonus, parts.config))
     learner, norm, metrics = ppo_epochs(
         optimizer, partial(mappo_loss, parts, entropy_coef=coef), state.learner,
         state.norm, batch, key_epochs, ppo,

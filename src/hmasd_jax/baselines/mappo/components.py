@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.frontier import FrontierConfig, check_frontier_counts, make_frontier
-from hmasd_jax.exploration.greedy_copies import check_sharpening
+from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
+from hmasd_jax.exploration.solved import SolvedConfig, check_solved
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
 from hmasd_jax.networks.actor_critic import NETWORKS, ActorCritic, ActorCriticMemory
 from hmasd_jax.networks.recurrent import SMALL_GAIN, FeedForwardNet, RecurrentNet
@@ -42,23 +42,15 @@ class MAPPOConfig:
     paper has none."""
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
-    sharpening: float = 0.0
-    """Weight against the policy's entropy, per share of episodes that sampled play loses and greedy
-    play wins, once the team solves its task. Needs the `frontier` and `imitation.greedy_copies`.
-    The paper has none."""
-    solved_step_factor: float = 1.0
-    """Factor of the steps once a reward ends every episode. They shorten with the chance that a
-    reward ends the episodes of all copies. Needs the `frontier`. The paper has none."""
+    solved: SolvedConfig = field(default_factory=SolvedConfig)
+    """Changes once the task is solved. Needs the `frontier`. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
     def __post_init__(self) -> None:
         check_types(self)
         check_range(self, "entropy_coef", low=0)
-        check_range(self, "sharpening", low=0)
-        check_range(self, "solved_step_factor", low=0, high=1)
-        check_frontier_counts(self, sharpening=0, solved_step_factor=1)
-        check_sharpening(self.sharpening, self.imitation)
+        check_solved(self)
         self.ppo.check_sequences()
         self.imitation.check_copies(self.ppo.num_envs)
 
