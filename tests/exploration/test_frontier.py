@@ -125,12 +125,22 @@ def test_worth_falls_from_the_largest_to_nothing():
     assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
 
 
-def test_the_bonus_is_the_sum_over_features_less_its_mean_in_deviations(bonus, empty):
-    outcome = rollout_of([0.0, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, 4.0])
+def test_a_step_is_paid_once_for_the_rarest_value_that_a_feature_reaches(bonus, empty):
+    """Three copies rise to 2, of which one goes on to 4, and the fourth rises to 4 at once."""
+    outcome = rollout_of([0.0, 2.0, 4.0], [0.0, 4.0, 4.0], [0.0, 2.0, 2.0], [0.0, 2.0, 2.0])
     frontier, reward = train(bonus, empty, outcome)
-    worth = odds_against(frontier.mastered, CONFIG.largest_worth)
-    paid = jnp.zeros((2, 4)).at[1, 3].set(worth[RISES, 0, 1:].sum())
+    assert_allclose(frontier.mastered[RISES, 0, 1:], [4 / 7.6, 4 / 7.6, 2 / 7.6], rtol=1e-6)
+    near, far = 7.6 / 4 - 1, 7.6 / 2 - 1
+    paid = jnp.array([[0, 0, 0, 0], [near, far, near, near], [far, 0, 0, 0]])
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
+
+
+def test_the_bonus_is_the_sum_over_features(bonus, empty):
+    values = jnp.zeros((2, NUM_ENVS, SIZE)).at[1, 3].set(4.0)
+    outcome = outcome_of(values)
+    outcome = outcome._replace(terminated=outcome.terminated.at[-1].set(True))
+    frontier, _ = train(bonus, empty, outcome)
+    assert_allclose(frontier.bonuses.mean, SIZE * (7.6 - 1) / 8, rtol=1e-5)
 
 
 def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
@@ -151,8 +161,7 @@ def test_the_step_of_a_success_is_counted_but_not_paid(bonus, empty):
     assert_allclose(frontier.mastered[RISES, 0, 1:], 2 / 7.6, rtol=1e-6)
     assert_allclose(reward[1, 2], reward[1, 0])
     assert reward[1, 3] > 0 > reward[1, 2]
-    worth = 3 * odds_against(jnp.float32(2 / 7.6), CONFIG.largest_worth)
-    assert_allclose(frontier.bonuses.mean, worth / 8, rtol=1e-5)
+    assert_allclose(frontier.bonuses.mean, (7.6 / 2 - 1) / 8, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])

@@ -16,6 +16,10 @@ that only the frontier of what it can do is left. The share of the moment would 
 solution of a task to do what has become rare. The largest share is forgotten slowly, so that what
 the team has lost leads back to the frontier.
 
+A step pays each feature once, for the rarest of the values that it reaches. A feature with two
+values passes all between them at a time. Paid for each, the death of a unit would be worth as much
+as the whole health of an enemy, which is lost shot by shot.
+
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
@@ -135,7 +139,8 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         # The rollout counts too: without it, the first visits would be worth infinitely much.
         frontier, is_first = explore(frontier, outcome, config)
         worth = odds_against(frontier.mastered, config.largest_worth)
-        bonus = jnp.where(is_first, worth, 0.0).sum((-3, -2, -1))
+        # Each feature pays a step once, for the rarest value that it reaches.
+        bonus = jnp.where(is_first, worth, 0.0).max(-1).sum((-2, -1))
         bonus = jnp.where(is_success(outcome), 0.0, bonus)
         seen = moments.update(frontier.bonuses, bonus)
         all_fail = unsolved(frontier) ** num_envs
