@@ -71,6 +71,8 @@ coordinator's |
 pays the step of a success, and counts an episode several times in a bin that was made of several |
 | `_unmixed` | a step before the row without it: on solved tasks no skills are drawn at random, \
 q_d is not balanced, actions gain no entropy, and the gain is 3 |
+| `_per_value` | the preset of the row without it, before 212fbf7: a step is paid for every value \
+that it passes |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |
