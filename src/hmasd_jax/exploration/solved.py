@@ -14,9 +14,7 @@ from jaxtyping import Array, Float
 
 from hmasd_jax.exploration.bonus import Bonus
 from hmasd_jax.exploration.frontier import FrontierConfig
-from hmasd_jax.exploration.greedy_copies import mark_greedy
-from hmasd_jax.exploration.successes import ImitationConfig
-from hmasd_jax.rl.ppo import PPOConfig
+from hmasd_jax.exploration.greedy_copies import Settings, mark_greedy
 from hmasd_jax.validation import check_range, check_types
 
 
@@ -39,22 +37,12 @@ class SolvedConfig:
         check_range(self, "step_factor", low=0, high=1)
 
 
-class Settings(Protocol):
+class SolvedSettings(Settings, Protocol):
     """Settings of an algorithm that explores and knows when its task is solved."""
-
-    @property
-    def ppo(self) -> PPOConfig:
-        """Settings of PPO."""
-        ...
 
     @property
     def frontier(self) -> FrontierConfig:
         """Settings of the bonus that counts solved episodes."""
-        ...
-
-    @property
-    def imitation(self) -> ImitationConfig:
-        """Settings of imitation and of the copies that act greedily."""
         ...
 
     @property
@@ -63,7 +51,7 @@ class Settings(Protocol):
         ...
 
 
-def check_solved(config: Settings) -> None:
+def check_solved(config: SolvedSettings) -> None:
     """Check that what the settings depend on is counted.
 
     Raises:
@@ -85,12 +73,14 @@ def check_solved(config: Settings) -> None:
         )
 
 
-def solved_chance(bonus: Bonus, bonus_state: Any, config: Settings) -> float | Float[Array, ""]:
+def solved_chance(
+    bonus: Bonus, bonus_state: Any, config: SolvedSettings
+) -> float | Float[Array, ""]:
     """Return p, the chance that a reward ends the episodes of all copies of the environment."""
     return (1.0 - bonus.unsolved(bonus_state)) ** config.ppo.num_envs
 
 
-def step_factor(bonus: Bonus, bonus_state: Any, config: Settings) -> float | Float[Array, ""]:
+def step_factor(bonus: Bonus, bonus_state: Any, config: SolvedSettings) -> float | Float[Array, ""]:
     """Return the factor of a learner's steps, which may fall once all copies succeed.
 
     Normalized advantages have no scale. Where every episode succeeds they are noise, which Adam
@@ -104,7 +94,7 @@ def step_factor(bonus: Bonus, bonus_state: Any, config: Settings) -> float | Flo
 
 
 def actions_entropy_coef(
-    bonus: Bonus, bonus_state: Any, config: Settings, coef: float
+    bonus: Bonus, bonus_state: Any, config: SolvedSettings, coef: float
 ) -> float | Float[Array, ""]:
     """Return the coefficient of the actions' entropy, which may fall below 0 on a solved task.
 
