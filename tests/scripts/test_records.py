@@ -231,19 +231,24 @@ def test_page_shows_what_was_recorded():
 
 
 def test_numbers_of_the_readme_are_those_of_the_records_that_they_link_to():
-    """A number is marked * where its record has other settings than today's preset."""
+    """A number is marked * where its record has other settings than today's preset.
+
+    It is marked † where the bonus paid for every value that a step passes, before 212fbf7.
+    """
     found = re.findall(
         r"\[\**([\d.]+) ± ([\d.]+)\**\]\((results/([\w/]+)/\w+\.json)\)"
-        r"(?:, ([\d.]+))? at [^|]*?( \*)? \|",
+        r"(?:, ([\d.]+))? at [^|]*?( †)?( \*)? \|",
         record_result.README.read_text(),
     )
     assert len(found) == 21
-    for mean, std, path, task, worst, mark in found:
+    for mean, std, path, task, worst, dagger, star in found:
         record = json.loads((records.ROOT / path).read_text())
         final = summarize_record(record, TASKS[task])
         assert (mean, std) == (f"{final['mean']:.1f}", f"{final['std']:.1f}"), path
         assert worst in ("", f"{final['min']:.1f}"), path
-        assert bool(mark) == bool(changed_settings(record)), path
+        assert bool(star) == bool(changed_settings(record)), path
+        pays = record["config"]["algorithm"].get("frontier", {}).get("coef", 0) > 0
+        assert bool(dagger) == (pays and record["started"] < "2026-11-28T21:47"), path
 
 
 def test_a_text_without_the_place_is_refused():
