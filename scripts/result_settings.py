@@ -5,23 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax.config import from_json, identity, load, to_json
+from hmasd_jax.config import from_json, identity, load, rename, to_json
 from scripts.records import ROOT
-
-SOLVED = {
-    "hmasd": {
-        "solved_gain": "skill_gain",
-        "solved_entropy_coef": "high_entropy_coef",
-        "solved_low_entropy_coef": "low_entropy_coef",
-        "solved_random_share": "random_share",
-        "solved_balance": "balance",
-        "solved_step_factor": "coordinator_step_factor",
-        "solved_low_step_factor": "step_factor",
-        "sharpening": "sharpening",
-    },
-    "mappo": {"solved_step_factor": "step_factor", "sharpening": "sharpening"},
-}
-"""Names in records of what `algorithm.solved` holds since, by algorithm."""
 
 
 def preset_of(record: Mapping[str, Any]) -> Path:
@@ -45,17 +30,9 @@ def changed_settings(
         overrides: settings by dotted name that replace those of the preset.
     """
     preset = to_json(load(preset_of(record), dict(overrides or {})))
-    recorded = to_json(from_json(_known(_with_solved(record["config"]), preset)))
+    recorded = to_json(from_json(_known(rename(record["config"]), preset)))
     old, new = _compared(recorded), _compared(preset)
     return {name: (old[name], new[name]) for name in new if old[name] != new[name]}
-
-
-def _with_solved(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings of a record with those of solved tasks in their table."""
-    algorithm = dict(config["algorithm"])
-    names = SOLVED.get(algorithm["name"], {})
-    moved = {names[name]: algorithm.pop(name) for name in names if name in algorithm}
-    return {**config, "algorithm": {"solved": moved, **algorithm}}
 
 
 def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:

@@ -79,3 +79,23 @@ def test_an_old_configuration_is_the_same_run():
 def test_a_near_miss_is_told_the_new_name(near):
     with pytest.raises(ConfigError, match=rf"unknown key {near} \(did you mean placement\?\)"):
         load(None, {near: "map"})
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("hmasd", "solved_step_factor", "coordinator_step_factor"),
+        ("hmasd", "solved_low_step_factor", "step_factor"),
+        ("mappo", "solved_step_factor", "step_factor"),
+    ],
+)
+def test_settings_of_solved_tasks_are_read_by_their_former_names(name, old, new, tmp_path):
+    path = tmp_path / "config.json"
+    algorithm = {"name": name, old: 0.25, "frontier": {"coef": 1.0}}
+    path.write_text(json.dumps({"algorithm": algorithm}))
+    assert getattr(load(path).algorithm.solved, new) == 0.25
+    assert identity({"algorithm": algorithm})[f"algorithm.solved.{new}"] == 0.25
+    path.write_text(json.dumps({"algorithm": algorithm | {"solved": {new: 0.25}}}))
+    match = rf"^algorithm.{old} is the former name of algorithm.solved.{new}: give only"
+    with pytest.raises(ConfigError, match=match):
+        load(path)

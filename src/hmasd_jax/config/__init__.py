@@ -1,7 +1,7 @@
 """Configuration of a run: frozen dataclasses from files and command lines."""
 
+from hmasd_jax.config.former_names import RENAMED, rename
 from hmasd_jax.config.train_config import (
-    RENAMED,
     Placement,
     TrainConfig,
     build,
@@ -30,6 +30,7 @@ __all__ = [
     "name_differences",
     "override",
     "read_table",
+    "rename",
     "subtable",
     "to_json",
 ]

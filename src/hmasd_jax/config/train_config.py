@@ -11,6 +11,7 @@ from envs_jax import Environment
 from envs_jax.alice_and_bob import AliceAndBob
 from envs_jax.choices import show, suggest
 from hmasd_jax.algorithms import ALGORITHMS
+from hmasd_jax.config.former_names import rename
 from hmasd_jax.config.from_table import Text, from_table
 from hmasd_jax.config.names import find_algorithm, find_env, name_of_algorithm, name_of_env
 from hmasd_jax.hmasd.config import HMASDConfig
@@ -32,8 +33,6 @@ DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 EXTENSIBLE = ("total_env_steps", "num_seeds", "placement")
 """Settings of `TrainConfig` that may change when a run is resumed; no trained number depends on
 them."""
-RENAMED = {"layout": "placement"}
-"""Former names of settings of `TrainConfig`, which are still read, with the names they have now."""
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def override(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str
         ConfigError: A dotted name passes through a value that is not a table, or a setting is given
             by its former name and by the new one.
     """
-    table, overrides = _rename(table), _rename(overrides)
+    table, overrides = rename(table), rename(overrides)
     for section in ("env", "algorithm"):
         name = overrides.get(f"{section}.name")
         if name is not None and str(name) != subtable(table, section).get(
@@ -165,7 +164,7 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
     Raises:
         ConfigError: A key or name is unknown, or a value has the wrong type or is out of range.
     """
-    table = _rename(table)
+    table = rename(table)
     env, algorithm = subtable(table, "env"), subtable(table, "algorithm")
     env_type = find_env(env.pop("name", DEFAULT_NAMES["env"]))
     entry = find_algorithm(algorithm.pop("name", DEFAULT_NAMES["algorithm"]))
@@ -174,18 +173,6 @@ def from_json(table: Mapping[str, Any]) -> TrainConfig:
         "algorithm": from_table(entry.config, algorithm, "algorithm"),
     }
     return from_table(TrainConfig, {**table, **built})
-
-
-def _rename(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings, from a file or by dotted name, with the names that they have now.
-
-    Raises:
-        ConfigError: A setting is given by its former name and by the new one.
-    """
-    for old, new in RENAMED.items():
-        if old in settings and new in settings:
-            raise ConfigError(f"{old} is the former name of {new}: give only {new}")
-    return {RENAMED.get(name, name): value for name, value in settings.items()}
 
 
 def change(config: TrainConfig, values: Mapping[str, Any]) -> TrainConfig:
@@ -225,7 +212,7 @@ def _write_path(value: Any) -> str:
 
 def identity(table: dict[str, Any]) -> dict[str, Any]:
     """Return by dotted name the settings that resuming must not change: all but `EXTENSIBLE`."""
-    flat = _flatten(_rename(table))
+    flat = _flatten(rename(table))
     return {name: value for name, value in flat.items() if name not in EXTENSIBLE}
 
 
