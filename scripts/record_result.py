@@ -24,7 +24,7 @@ from scripts import comparison
 from scripts.paper import TASKS, Task, final_scores, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
-from scripts.result_settings import changed_settings, preset_of
+from scripts.result_settings import changed_settings, pays_every_value, preset_of
 from scripts.run_records import (
     add_seeds,
     commits_of,
@@ -84,7 +84,9 @@ that it passes |
 | `_terminal` | an earlier form of the retired preset, for which the time limit ends the task |
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
-has changed since, or the command changes it. A table below names these settings.
+has changed since, or the command changes it. A table below names these settings. A row marked † is
+of before 212fbf7: its exploration bonus pays a step for every value that it passes, and not once
+for each feature.
 
 ## The paper's comparison
 
@@ -116,7 +118,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     final = summarize_record(kept, task)
     low, high = final["interval"]
     iqm = estimate_iqm(final_scores(kept))
-    mark = " *" if changed_settings(kept) else ""
+    mark = (" †" if pays_every_value(kept) else "") + (" *" if changed_settings(kept) else "")
     steps = f"{kept['env_steps'][-1]:,}"
     if cut_seeds(kept):
         steps += f" of {kept['config']['total_env_steps']:,}"

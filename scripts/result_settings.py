@@ -8,6 +8,9 @@ from typing import Any
 from hmasd_jax.config import from_json, identity, load, rename, to_json
 from scripts.records import ROOT
 
+PAID_ONCE = "2026-11-28T21:47"
+"""Time of commit 212fbf7, from which the exploration bonus pays a step once for each feature."""
+
 
 def preset_of(record: Mapping[str, Any]) -> Path:
     """Return the preset that the command of a record names."""
@@ -33,6 +36,15 @@ def changed_settings(
     recorded = to_json(from_json(_known(rename(record["config"]), preset)))
     old, new = _compared(recorded), _compared(preset)
     return {name: (old[name], new[name]) for name in new if old[name] != new[name]}
+
+
+def pays_every_value(record: Mapping[str, Any]) -> bool:
+    """Return whether the exploration bonus of a record pays for every value that a step passes.
+
+    No setting tells: commit 212fbf7 changed what the bonus does.
+    """
+    bonus = record["config"]["algorithm"].get("frontier", {"coef": 0.0})
+    return bonus["coef"] > 0.0 and record["started"] < PAID_ONCE
 
 
 def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from scripts import (
     tactics,
 )
 from scripts.paper import TASKS, final_scores, summarize_record
-from scripts.result_settings import changed_settings
+from scripts.result_settings import changed_settings, pays_every_value
 from tests.helpers.runs import STEPS, write_run
 
 
@@ -247,8 +247,7 @@ def test_numbers_of_the_readme_are_those_of_the_records_that_they_link_to():
         assert (mean, std) == (f"{final['mean']:.1f}", f"{final['std']:.1f}"), path
         assert worst in ("", f"{final['min']:.1f}"), path
         assert bool(star) == bool(changed_settings(record)), path
-        pays = record["config"]["algorithm"].get("frontier", {}).get("coef", 0) > 0
-        assert bool(dagger) == (pays and record["started"] < "2026-11-28T21:47"), path
+        assert bool(dagger) == pays_every_value(record), path
 
 
 def test_a_text_without_the_place_is_refused():

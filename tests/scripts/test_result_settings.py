@@ -3,7 +3,7 @@
 import json
 
 from scripts.records import RESULTS
-from scripts.result_settings import changed_settings, preset_of
+from scripts.result_settings import changed_settings, pays_every_value, preset_of
 
 
 def _record(name):
@@ -39,3 +39,9 @@ def test_seeds_steps_and_checkpoints_are_no_differences():
         "checkpoint_interval": 400_000,
     }
     assert changed_settings(record | {"config": changed}) == {}
+
+
+def test_a_bonus_of_before_steps_were_paid_once_for_each_feature_is_noticed():
+    assert pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd_general_per_value"))
+    assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd_general"))
+    assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd"))
