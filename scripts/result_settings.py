@@ -41,7 +41,8 @@ def changed_settings(
 def pays_every_value(record: Mapping[str, Any]) -> bool:
     """Return whether the exploration bonus of a record pays for every value that a step passes.
 
-    No setting tells: commit 212fbf7 changed what the bonus does.
+    No setting tells: commit 212fbf7 changed what the bonus does. The start of a run tells, since no
+    run of an earlier commit has been recorded from then on.
     """
     bonus = record["config"]["algorithm"].get("frontier", {"coef": 0.0})
     return bonus["coef"] > 0.0 and record["started"] < PAID_ONCE

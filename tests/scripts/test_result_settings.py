@@ -42,6 +42,9 @@ def test_seeds_steps_and_checkpoints_are_no_differences():
 
 
 def test_a_bonus_of_before_steps_were_paid_once_for_each_feature_is_noticed():
-    assert pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd_general_per_value"))
+    record = _record("micro_battle/2s_vs_1sc/hmasd_general_per_value")
+    assert pays_every_value(record)
+    assert pays_every_value(record | {"started": "2026-11-28T21:46:59+0000"})
+    assert not pays_every_value(record | {"started": "2026-11-28T21:47:00+0000"})
     assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd_general"))
     assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd"))
