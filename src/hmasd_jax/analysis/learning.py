@@ -27,9 +27,9 @@ from hmasd_jax.runs.metrics_log import NOT_METRICS, Record
 LAST = 5
 """Number of last evaluations whose mean is the score of a seed, to even out their noise."""
 SOLVED_AT = 0.9
-"""Success rate from which a seed has learned a task."""
+"""Success rate from which a seed has solved a task."""
 ANY_REWARD = 1e-9
-"""Return from which a seed has learned a task without a success: any above 0."""
+"""Return from which a seed has solved a task without a success: any above 0."""
 
 
 class Band(NamedTuple):
@@ -63,9 +63,9 @@ class Learned(NamedTuple):
     iqm: Estimate
     """Interquartile mean."""
     threshold: float
-    """Score from which a seed has learned the task."""
+    """Score from which a seed has solved the task."""
     solved: Estimate
-    """Share of seeds that have learned the task."""
+    """Share of seeds that have solved the task."""
     reached: list[tuple[int, float]]
     """Environment steps and seconds of the first evaluation at or above the threshold, for each
     seed that has one."""
@@ -120,7 +120,7 @@ def summarize(
     Args:
         records: Records by seed.
         metric: Name in the evaluations.
-        solved_at: Score from which a seed has learned the task.
+        solved_at: Score from which a seed has solved the task.
         last: Number of last evaluations to average.
     """
     evaluations = [
@@ -169,7 +169,7 @@ def common_metric(runs: Sequence[Path]) -> str:
 
 
 def default_bar(metric: str) -> float:
-    """Return the score from which a seed has learned a task that is judged by this metric."""
+    """Return the score from which a seed has solved a task that is judged by this metric."""
     return SOLVED_AT if metric == "success" else ANY_REWARD
 
 

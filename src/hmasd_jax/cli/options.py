@@ -235,7 +235,7 @@ class CompareOptions(PlotOptions):
     last: int = 5
     """Number of last evaluations whose mean is the score of a seed."""
     solved_at: float | None = None
-    """Score from which a seed has learned the task. The default is a success rate of 0.9, or any
+    """Score from which a seed has solved the task. The default is a success rate of 0.9, or any
     return above 0."""
 
     def __post_init__(self) -> None:
@@ -255,7 +255,7 @@ class ReportOptions(Options):
     seeds: int = 3
     """Most seeds per run whose skills are played."""
     solved_at: float | None = None
-    """Score from which a seed has learned the task. The default is a success rate of 0.9, or any
+    """Score from which a seed has solved the task. The default is a success rate of 0.9, or any
     return above 0."""
     megabytes: float = 15.0
     """Largest size of the page. Films become shorter to keep it."""

@@ -123,7 +123,8 @@ class HMASDConfig:
     """If True, subtract log p of a uniform prior from the intrinsic rewards, like Eq. 1 and unlike
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
     solved: SolvedSkillsConfig = field(default_factory=SolvedSkillsConfig)
-    """Changes once the task is solved. Needs the `frontier`. The paper has none."""
+    """Changes once the task is solved. p is the chance that a reward ends the episodes of all
+    copies of the environment. Needs the `frontier`. The paper has none."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)

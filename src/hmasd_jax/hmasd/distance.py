@@ -44,7 +44,8 @@ class DistanceConfig:
     """Weight of the state's distance along the team skill Z. With both weights 0 nothing is
     learned."""
     epochs: int = 10
-    """Gradient steps on phi per rollout, each on the whole rollout."""
+    """Gradient steps per rollout on phi, the network whose outputs measure distance. Each step uses
+    the whole rollout."""
     learning_rate: float = 5e-4
     """Step size of Adam for phi and the multipliers."""
 

@@ -81,7 +81,7 @@ def gather(
         metric: Name of the score in the evaluations.
         episodes: Episodes per condition of `study_skills`.
         num_seeds: Most seeds to study.
-        solved_at: Score from which a seed has learned the task.
+        solved_at: Score from which a seed has solved the task.
         track: Wrapper of the loops, e.g. a progress bar.
 
     Raises:

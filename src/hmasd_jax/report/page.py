@@ -51,7 +51,7 @@ def write_report(
         episodes: Episodes per skill and condition.
         num_seeds: Most seeds per run whose skills are shown.
         megabytes: Size limit. Films become shorter to keep it.
-        solved_at: Score from which a seed has learned the task; None takes a success rate of 0.9,
+        solved_at: Score from which a seed has solved the task; None takes a success rate of 0.9,
             or any return above 0.
         track: Wrapper of loops, e.g. a progress bar.
 
