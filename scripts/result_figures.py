@@ -10,7 +10,16 @@ from scripts.records import RESULTS
 
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
-TOGETHER = ("compared", "general", "previous", "earlier", "retired", "ablations", *SKILLS)
+TOGETHER = (
+    "presets",
+    "compared",
+    "general",
+    "previous",
+    "earlier",
+    "retired",
+    "ablations",
+    *SKILLS,
+)
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets."""
@@ -23,6 +32,8 @@ PREVIOUS = ("hmasd_general_unsharpened", "hmasd_general_unmixed", "hmasd_general
 """Beginnings of the names of runs with its last forms before today's."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
 """Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
+PRESETS = ("hmasd", "mappo", "hmasd_general", "mappo_general")
+"""Runs of HMASD and MAPPO with the paper's settings and with ours."""
 STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
 """Configurations that look the same in all images."""
 
@@ -30,6 +41,8 @@ STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
 def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     """Return the files that each image shows, beside those of the presets in use."""
     rest = list(files)
+    presets = [path for name in PRESETS for path in rest if path.stem == name]
+    presets = presets if len(presets) == len(PRESETS) else []
 
     def take(*beginnings: str) -> list[Path]:
         found = [path for path in rest if path.stem.startswith(beginnings)]
@@ -42,8 +55,8 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     full = [path for path in rest if path.stem == "hmasd"]
     ours = [path for path in rest if path.stem == "hmasd_general"]
     systems = [path for path in rest if path not in full]
-    beside = (full, full + ours, ours, ours, *[full] * len(TOGETHER[4:]))
-    groups = (systems, general, previous, earlier, retired, ablations, *skills)
+    beside = ([], full, full + ours, ours, ours, *[full] * len(TOGETHER[5:]))
+    groups = (presets, systems, general, previous, earlier, retired, ablations, *skills)
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
 

@@ -44,6 +44,7 @@ def test_other_seeds_of_a_preset_are_shown_beside_it():
     )  # fmt: skip
     shown = result_figures.shown([Path(f"{name}.json") for name in names])
     assert {name: [path.stem for path in paths] for name, paths in shown.items()} == {
+        "presets": ["hmasd", "mappo", "hmasd_general", "mappo_general"],
         "compared": ["hmasd", "hmasd_general", "mappo"],
         "general": ["hmasd", "hmasd_general", "hmasd_general_again", "mappo_general"],
         "previous": ["hmasd_general", "hmasd_general_unmixed"],
