@@ -60,19 +60,19 @@ A row is named after its file. Names begin with the algorithm, or with `no` for 
 | name ends in | meaning |
 |---|---|
 | `_general` | our preset with the same settings of the algorithm in all tasks |
-| `_before` | the preset of the row without it, before solved tasks changed rewards, entropy and \
-steps. In Overcooked no episode is solved, and the two are the same |
-| `_clipped` | a step between these two (6d33107): gradients clipped at a norm of 0.5, steps of \
-full length, and skills that are paid in Overcooked, too |
-| `_coordinator` | a later step (dee9840): only the coordinator's steps shorten |
-| `_both_levels` | a step beside the next (19ab0f7): the discoverer's steps shorten like the \
-coordinator's |
-| `_unsharpened` | a step before the row without it: actions are not sharpened, and the frontier \
+| `_general_before` | its first form (f980c2a): nothing changes once a task is solved |
+| `_general_clipped` | the next form (6d33107): gradients clipped at a norm of 0.5, steps of full \
+length, and skills that are paid more as earnings grow, in Overcooked, too |
+| `_general_coordinator` | the next form (dee9840): only the coordinator's steps shorten on solved \
+tasks |
+| `_general_both_levels` | an alternative to the next (19ab0f7): the discoverer's steps shorten \
+like the coordinator's |
+| `_general_unsharpened` | the next form (04fcaec): actions are not sharpened, and the frontier \
 pays the step of a success, and counts an episode several times in a bin that was made of several |
-| `_unmixed` | a step before the row without it: on solved tasks no skills are drawn at random, \
-q_d is not balanced, actions gain no entropy, and the gain is 3 |
-| `_per_value` | the preset of the row without it, before 212fbf7: a step is paid for every value \
-that it passes |
+| `_general_unmixed` | the next form (c04a7af): on solved tasks no skills are drawn at random, q_d \
+is not balanced, actions gain no entropy, and the gain is 3 |
+| `_general_per_value` | the form before today's: the bonus pays a step for every value that it \
+passes |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |
@@ -82,6 +82,9 @@ that it passes |
 | `_lambda_095` | the retired preset with a lambda of GAE of 0.95 |
 | `_skill_interval_K`, `_num_team_skills_N`, `_num_skills_N` | other skills (the paper's Fig. 10) |
 | `_terminal` | an earlier form of the retired preset, for which the time limit ends the task |
+
+To repeat a row, check out its commit and run its command. A loop over `--seed-index` trains the
+same seeds as `seed_sweep` with the other options of the loop.
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
 has changed since, or the command changes it. A table below names these settings. A row marked † is

@@ -35,7 +35,7 @@ def test_the_site_builds_and_is_whole(tmp_path):
         for link in links:
             assert re.search(rf'href="{re.escape(link)}["#]', text), (page, link)
             assert (tmp_path / page).parent.joinpath(link).exists()
-    picture = "repository/results/alice_and_bob/compared.png"
+    picture = "repository/results/alice_and_bob/presets.png"
     assert f'src="{picture}"' in (tmp_path / "index.html").read_text()
     assert (tmp_path / picture).exists()
     assert 'id="hmasd_jax.rl.gae.normalize_advantage"' in (tmp_path / REFERENCE).read_text()
