@@ -87,6 +87,7 @@ def test_a_near_miss_is_told_the_new_name(near):
         ("hmasd", "solved_step_factor", "coordinator_step_factor"),
         ("hmasd", "solved_low_step_factor", "step_factor"),
         ("mappo", "solved_step_factor", "step_factor"),
+        ("ippo", "solved_step_factor", "step_factor"),
     ],
 )
 def test_settings_of_solved_tasks_are_read_by_their_former_names(name, old, new, tmp_path):

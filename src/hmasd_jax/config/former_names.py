@@ -19,6 +19,7 @@ SOLVED = {
         "sharpening": "sharpening",
     },
     "mappo": {"solved_step_factor": "step_factor", "sharpening": "sharpening"},
+    "ippo": {"solved_step_factor": "step_factor", "sharpening": "sharpening"},
 }
 """Former names of settings of each algorithm, with the names they have in `algorithm.solved`."""
 
