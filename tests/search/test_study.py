@@ -209,6 +209,22 @@ def test_a_search_keeps_its_storage(tmp_path):
     assert not (tmp_path / "search.db").exists()
 
 
+def test_a_search_keeps_its_name(tmp_path):
+    folder = tmp_path / "s"
+    join(folder, name="first")
+    with pytest.raises(RunError, match="has the name first, not second"):
+        join(folder, name="second")
+    assert join(folder).study.study_name == "first"
+
+
+def test_a_search_goes_on_when_the_library_has_gained_a_setting(tmp_path):
+    folder = tmp_path / "s"
+    table = definition().to_json()
+    del table["config"]["algorithm"]["solved"]["balance"]
+    join(folder).study.set_user_attr("definition", table)
+    assert join(folder).trials == 4
+
+
 def test_a_search_that_could_not_begin_can_begin_later(tmp_path):
     folder = tmp_path / "s"
     with pytest.raises(RunError):

@@ -100,15 +100,16 @@ def create_or_join(
     """
     require("optuna", "tune", "a search")
     space = read_space(definition.config, definition.settings)
-    place = {"storage": hide_password(storage), "name": name or folder.resolve().name}
+    given = {"storage": hide_password(storage), "name": name}
+    wanted = {key: value for key, value in given.items() if value is not None}
     _check_unused(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with exclusive(folder / LOCK):
             if is_search(folder):
-                place = _read_place(folder, place if storage else {})
+                place = _read_place(folder, wanted)
                 return _open(folder, place, storage, definition, space, trials)
-            place |= {"place": uuid.uuid4().hex}
+            place = given | {"name": name or folder.resolve().name, "place": uuid.uuid4().hex}
             search = _open(folder, place, storage, definition, space, trials)
             write_json(folder / "preset.json", to_json(definition.config))
             write_json(folder / "study.json", place)
@@ -219,7 +220,8 @@ def _check_same(saved: dict[str, Any], wanted: dict[str, Any], folder: Path) -> 
         lengths = {name: config[name] for name in ("total_env_steps", "num_seeds")}
         vary = [f"{name}={','.join(texts)}" for name, texts in table["settings"]]
         judged = {name: table[name] for name in ("last", "prune_after")}
-        return {"vary": vary, **judged, **lengths, **identity(config)}
+        # Settings that this version has gained are at their defaults.
+        return {"vary": vary, **judged, **lengths, **identity(to_json(from_json(config)))}
 
     old, new = flat(saved), flat(json.loads(json.dumps(wanted)))
     if changes := name_differences(old, new):
