@@ -6,9 +6,11 @@ import subprocess
 import sys
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from envs_jax.alice_and_bob import AliceAndBob
 from hmasd_jax.cli.main import main
 from hmasd_jax.config import TrainConfig, build, load, to_json
 from hmasd_jax.rl.ppo import PPOConfig
@@ -193,10 +195,28 @@ def test_a_seed_that_is_not_finite_stops_alone(together, fragile, tmp_path):
         # Update 6 is in the stretch up to env step 120; the checkpoint at 80 is the last good one.
         assert results[seed].kind == "failed"
         message = results[seed].data["message"]
-        assert "not finite at env step 120" in message
+        assert "not finite in training at env step 120: loss;" in message
         assert message.endswith(f"last good checkpoint: {folder / '80.npz'}")
         assert checkpoint.steps(folder) == [80]
         assert numbers(job.run, seed)[-1]["env_steps"] == 80
+
+
+class Unmeasured(AliceAndBob):
+    """Alice_and_Bob whose success is 0 / 0."""
+
+    def step(self, key, state, action):
+        state, timestep = super().step(key, state, action)
+        return state, timestep._replace(info=timestep.info | {"success": jnp.nan})
+
+
+def test_an_evaluation_that_is_not_finite_is_told_by_name(tmp_path):
+    job, _ = make_job(tmp_path / "run", **{"env.max_steps": 5})
+    job = job._replace(env=Unmeasured(max_steps=5))
+    results = train_seeds(job, [0, 1])
+    for seed in (0, 1):
+        assert results[seed].kind == "failed"
+        message = results[seed].data["message"]
+        assert message.startswith("not finite in evaluation at env step 0: success; last good")
 
 
 def test_a_failed_seed_is_told_with_what_to_do(tmp_path, capsys, fragile):
@@ -205,7 +225,7 @@ def test_a_failed_seed_is_told_with_what_to_do(tmp_path, capsys, fragile):
     more = words(algorithm__explode_at=6)
     assert main(["train", "--run-dir", str(run), "--seed-index", str(index), *more]) == 1
     text = capsys.readouterr().out
-    assert f"seed {index} failed: a loss or parameter was not finite at env step 120" in text
+    assert f"seed {index} failed: not finite in training at env step 120: loss" in text
     assert f"--run-dir {run} --resume" in text
     assert json.loads((run / "summary.json").read_text())["seeds"][str(index)]["status"] == "failed"
 

@@ -185,7 +185,8 @@ class Batch:
         metrics = _rows(sums)
         for row, seed in self.running:
             if not healthy[row]:
-                seed.fail(f"a loss or parameter was not finite at env step {self.env_steps}")
+                names = name_not_finite(metrics[row]) or "a parameter"
+                seed.fail(f"not finite in training at env step {self.env_steps}: {names}")
                 continue
             with _failing(self.job.run, [seed]):
                 seed.write("train", self.env_steps, _pool(metrics[row], count) | rate)
@@ -195,6 +196,9 @@ class Batch:
         keys = [evaluation_key(self.job.config, index, self.env_steps) for index in self.indices]
         metrics = _rows(self.programs.evaluate(self.states, jnp.stack(keys)))
         for row, seed in self.running:
+            if names := name_not_finite(metrics[row]):
+                seed.fail(f"not finite in evaluation at env step {self.env_steps}: {names}")
+                continue
             with _failing(self.job.run, [seed]):
                 seed.write("eval", self.env_steps, metrics[row])
 
@@ -209,6 +213,12 @@ def _rows(metrics: dict[str, jax.Array]) -> list[dict[str, Any]]:
     """Convert arrays over seeds to one dictionary of floats per seed."""
     columns = {name: np.asarray(values).tolist() for name, values in metrics.items()}
     return [dict(zip(columns, row)) for row in zip(*columns.values())]
+
+
+def name_not_finite(metrics: dict[str, float]) -> str:
+    """Return the names of metrics that are not finite, at most three; empty if all are."""
+    names = [name for name, value in metrics.items() if not math.isfinite(value)]
+    return ", ".join([*names[:3], *["..."][: len(names) > 3]])
 
 
 def _pool(sums: dict[str, float], count: int) -> dict[str, float]:
