@@ -115,7 +115,7 @@ def test_told_to_stop_the_first_process_waits_until_the_others_have_saved(start_
     second.send_signal(signal.SIGCONT)
     outputs = [process.communicate(timeout=60) for process in (first, second)]
     assert [first.returncode, second.returncode] == [130, 130], outputs
-    assert "to continue: python -m hmasd_jax.train seed_sweep" in outputs[0][0]
+    assert f"to continue: python {TOY} seed_sweep" in outputs[0][0]
     seeds = json.loads((run / "summary.json").read_text())["seeds"]
     assert [seeds[seed]["status"] for seed in ("0", "1")] == ["finished", "interrupted"]
     assert 0 < latest(run, 1) == numbers(run, 1)[-1]["env_steps"] < total

@@ -12,6 +12,7 @@ import pytest
 from hmasd_jax.cli.main import main
 from hmasd_jax.runs.folder import available_cores
 from hmasd_jax.runs.load import load_run
+from tests.helpers import toy
 from tests.helpers.processes import assert_same_state, children_of, latest, wait_until
 from tests.helpers.toy import numbers, words
 
@@ -59,10 +60,7 @@ def test_a_signal_saves_and_says_how_to_go_on(number, start, tmp_path):
     os.killpg(process.pid, number)
     text = process.output()
     assert process.returncode == 130
-    assert (
-        f"interrupted; to continue: python -m hmasd_jax.train train --run-dir {run} --resume"
-        in text
-    )
+    assert f"interrupted; to continue: python {toy.__file__} train --run-dir {run} --resume" in text
     assert "Traceback" not in text
     assert numbers(run, 0)[-1]["env_steps"] == latest(run, 0)
 
@@ -119,7 +117,7 @@ def test_workers_outlive_one_of_them_and_save_on_ctrl_c(start, tmp_path):
     alive = 1 - failed[0]
     assert f"seed {alive} interrupted at env step {latest(run, alive):,}" in text
     assert numbers(run, alive)[-1]["env_steps"] == latest(run, alive)
-    assert "to continue: python -m hmasd_jax.train seed_sweep" in text
+    assert f"to continue: python {toy.__file__} seed_sweep" in text
     for pid in workers:
         assert not Path(f"/proc/{pid}").exists()
 

@@ -1,10 +1,9 @@
 """The command `grid`: a sweep for each combination of values of some settings."""
 
-import shlex
 from pathlib import Path
 
 from hmasd_jax.cli import train_commands
-from hmasd_jax.cli.hints import suggest_next
+from hmasd_jax.cli.hints import suggest_next, write_command
 from hmasd_jax.cli.options import GridOptions, SweepOptions
 from hmasd_jax.cli.parse import drop_options
 from hmasd_jax.config import TrainConfig, build, change
@@ -37,7 +36,7 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
                 break
     if len(codes) < len(cells) or train_commands.INTERRUPTED in codes:
         again = [*drop_options(words, "run-dir", "resume"), "--run-dir", str(root), "--resume"]
-        print(f"interrupted; to continue: python -m hmasd_jax.train {shlex.join(again)}")
+        print(f"interrupted; to continue: {write_command(*again)}")
         return train_commands.INTERRUPTED
     if not any(codes):
         suggest_next("compare", *cells)

@@ -2,9 +2,29 @@
 
 import shlex
 import sys
+from typing import Any
 
 
 def suggest_next(*words: object) -> None:
     """Print a command on stderr, so that stdout stays what scripts read."""
-    command = shlex.join(["python", "-m", "hmasd_jax.train", *map(str, words)])
-    print(f"next: {command}", file=sys.stderr)
+    print(f"next: {write_command(*words)}", file=sys.stderr)
+
+
+def write_command(*words: object) -> str:
+    """Return the text of the shell command that starts this command line with `words`."""
+    return shlex.join(shell_command(*words))
+
+
+def shell_command(*words: object) -> list[str]:
+    """Return the words of the shell command that starts this command line with `words`.
+
+    A script that registers environments and calls `main` is a command line of its own.
+    """
+    from hmasd_jax.cli.main import COMMANDS
+
+    main: Any = sys.modules["__main__"]
+    is_script = main.__spec__ is None and str(getattr(main, "__file__", "")).endswith(".py")
+    start = ["-m", "hmasd_jax.train"]
+    if is_script and sys.argv[1:2] and sys.argv[1] in COMMANDS:
+        start = sys.argv[:1]
+    return ["python", *start, *map(str, words)]

@@ -30,10 +30,9 @@ def write(run: Path, results: dict[int, Event]) -> None:
     path = run / "summary.json"
     with exclusive(run / LOCK):  # Another process may end another seed.
         seeds: dict[str, dict[str, Any]] = {str(i): summarize(run, i) for i in seeds_of(run)}
-        for name, end in _read_ends(path).items():
+        ends = {str(index): {"status": e.kind, **e.data} for index, e in results.items()}
+        for name, end in (_read_ends(path) | ends).items():
             seeds.setdefault(name, {}).update(end)
-        for index, event in results.items():
-            seeds.setdefault(str(index), {}).update(status=event.kind, **event.data)
         write_json(path, {"seeds": seeds, "over_seeds": over_seeds(seeds)})
 
 

@@ -1,13 +1,13 @@
 """The commands `train` and `seed_sweep`, from settings to finished runs."""
 
 import dataclasses
-import shlex
 import time
 from pathlib import Path
 
 from rich.console import Console
 
 from hmasd_jax.cli import summary
+from hmasd_jax.cli.hints import shell_command, write_command
 from hmasd_jax.cli.options import RunOptions, SweepOptions, TrainOptions
 from hmasd_jax.config import TrainConfig, build, identity, name_differences, to_json
 from hmasd_jax.hmasd.config import count_skills
@@ -18,7 +18,6 @@ from hmasd_jax.runs.folder import (
     note_resume,
     read_config,
     seeds_of,
-    shell_command,
 )
 from hmasd_jax.runs.metrics_log import check_loggers
 from hmasd_jax.training import distributed
@@ -85,8 +84,8 @@ def _experiment(
     results = run_seeds(config, options, words, seeds, placement, group)
     if not group.leads:
         return exit_code(results)
-    again = shlex.join([words[0], "--run-dir", str(run), "--resume", *options.repeated])
-    return conclude(Console(), run, results, f"python -m hmasd_jax.train {again}")
+    again = write_command(words[0], "--run-dir", run, "--resume", *options.repeated)
+    return conclude(Console(), run, results, again)
 
 
 def run_seeds(
@@ -113,7 +112,7 @@ def run_seeds(
     env, algorithm = build(config)  # Before anything is written: settings may not fit.
     console, run = Console(quiet=not group.leads), options.run_dir
     assert run is not None
-    _prepare(run, config, seeds, options.resume, shell_command(words), group)
+    _prepare(run, config, seeds, options.resume, shell_command(*words), group)
     distributed.leave(group)
     mine = group.share(seeds)
     text = describe(config, seeds, run, placement, group)
@@ -256,10 +255,8 @@ def conclude(console: Console, run: Path, results: dict[int, Event], again: str)
 
 def next_step(run: Path) -> str:
     """Return a line with a command that shows what a finished run has learned."""
-    words = ["python", "-m", "hmasd_jax.train", "render", str(run)]
-    if first := seeds_of(run)[0]:
-        words += ["--seed-index", str(first)]
-    render = shlex.join(words)
+    first = seeds_of(run)[0]
+    render = write_command("render", run, *(["--seed-index", first] if first else []))
     if any(count_skills(read_config(run).algorithm)):
         return f"see what the skills do: {render} --team-skill 0 --out skill_0.gif"
     return f"see what was learned: {render} --out episode.gif"

@@ -1,6 +1,5 @@
 """The command `tune`: a search whose trials are ordinary runs."""
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +8,7 @@ from rich.console import Console
 
 from hmasd_jax.analysis.learning import LAST
 from hmasd_jax.cli import summary
-from hmasd_jax.cli.hints import suggest_next
+from hmasd_jax.cli.hints import suggest_next, write_command
 from hmasd_jax.cli.options import SweepOptions, TuneOptions
 from hmasd_jax.cli.train_commands import (
     FAILED,
@@ -162,10 +161,8 @@ def conclude(search: Search, console: Console, options: TuneOptions, interrupted
     if table is not None:
         console.print(table)
     if interrupted:
-        again = ["--run-dir", folder, "--resume", *options.repeated]
-        say(
-            console, f"interrupted; to continue: python -m hmasd_jax.train tune {shlex.join(again)}"
-        )
+        again = write_command("tune", "--run-dir", folder, "--resume", *options.repeated)
+        say(console, f"interrupted; to continue: {again}")
         return INTERRUPTED
     if best is None:
         return FAILED

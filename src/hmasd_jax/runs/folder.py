@@ -12,7 +12,6 @@ import logging
 import os
 import platform
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -282,8 +281,3 @@ def _cpu_model() -> str:
         return platform.processor()
     models = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return models[0] if models else platform.processor()
-
-
-def shell_command(arguments: list[str]) -> list[str]:
-    """Return the words of the command that starts this program with `arguments`."""
-    return [Path(sys.executable).name, "-m", "hmasd_jax.train", *arguments]
