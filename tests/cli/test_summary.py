@@ -35,6 +35,15 @@ def test_seeds_that_a_command_does_not_train_keep_their_ends(tmp_path):
     assert seeds["1"]["final"] == 1.0
 
 
+def test_a_seed_that_has_finished_has_no_message_of_an_earlier_failure(tmp_path):
+    run = write_run(tmp_path / "run", [[0.0, 0.5]])
+    summary.write(run, {0: Event("failed", 0, {"message": "full"})})
+    summary.write(run, {0: Event("finished", 0, {})})
+    seed = json.loads((run / "summary.json").read_text())["seeds"]["0"]
+    assert seed["status"] == "finished"
+    assert "message" not in seed
+
+
 def test_a_damaged_summary_is_written_anew(tmp_path):
     run = write_run(tmp_path / "run", [[0.0, 0.5]])
     for text in ("[]", "{", '{"seeds": 3}', '{"seeds": {"0": 3}}'):
