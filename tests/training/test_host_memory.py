@@ -38,6 +38,33 @@ def test_workers_are_no_more_than_fit_into_memory(monkeypatch):
         assert host_memory.workers_at_once(8) == expected
 
 
+@pytest.mark.parametrize(
+    ("line", "top", "limit", "used", "inactive"),
+    [
+        ("0::/slurm/job_7", "", "memory.max", "memory.current", "inactive_file"),
+        (
+            "4:cpuset,memory:/slurm/job_7", "memory",
+            "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file",
+        ),
+    ],
+)  # fmt: skip
+def test_the_limit_of_a_job_counts_less_what_it_uses(line, top, limit, used, inactive, tmp_path):
+    groups, root = tmp_path / "cgroup", tmp_path / "root"
+    groups.write_text(f"9:name=systemd:/\n{line}\n")
+    assert host_memory.free_bytes_of_groups(groups, root) == math.inf
+    job = root / top / "slurm" / "job_7"
+    job.mkdir(parents=True)
+    for folder, most in ((job, 800), (job.parent, 500)):
+        (folder / limit).write_text(f"{most}\n")
+        (folder / used).write_text("300\n")
+        (folder / "memory.stat").write_text(f"anon 1\n{inactive} 100\n")
+    assert host_memory.free_bytes_of_groups(groups, root) == 300
+    (job.parent / limit).write_text("max\n" if not top else f"{2**63}\n")
+    assert host_memory.free_bytes_of_groups(groups, root) == 600
+    (job / used).write_text("2000\n")
+    assert host_memory.free_bytes_of_groups(groups, root) == 0
+
+
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only GNU's C library can")
 def test_freed_memory_is_kept_on_request():
     run = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, check=True)

@@ -23,6 +23,16 @@ M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
 system, and the largest number of blocks to request from the system directly."""
 
 
+GROUP_FILES = {
+    "": ("", "memory.max", "memory.current", "inactive_file"),
+    "memory": (
+        "memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file",
+    ),
+}  # fmt: skip
+"""Files of Linux control groups by the name that /proc/self/cgroup gives the hierarchy, empty in
+version 2: its folder, limit, use, and the part of the use that the system can take back."""
+
+
 def keep_freed() -> None:
     """Make this process keep the memory that it frees, if it uses GNU's C library.
 
@@ -71,7 +81,51 @@ def available_bytes() -> float:
 
 
 def available_host_bytes() -> float:
-    """Return the free memory of this machine in bytes; infinity if unknown."""
+    """Return the memory of this machine that this process can still take, in bytes.
+
+    A job of a cluster or a container may have less than the machine. Infinity stands for unknown.
+    """
+    return min(free_bytes_of_machine(), free_bytes_of_groups())
+
+
+def free_bytes_of_groups(
+    groups: Path = Path("/proc/self/cgroup"), root: Path = Path("/sys/fs/cgroup")
+) -> float:
+    """Return what the memory limits of the control groups leave; infinity without a limit.
+
+    Args:
+        groups: File with the groups of this process.
+        root: Folder that holds the groups.
+    """
+    free = math.inf
+    try:
+        lines = groups.read_text().splitlines()
+    except OSError:
+        return free
+    for line in lines:
+        _, hierarchies, name = line.split(":", 2)
+        for hierarchy in GROUP_FILES.keys() & hierarchies.split(","):
+            top, *files = GROUP_FILES[hierarchy]
+            group = root / top / name.lstrip("/")
+            # Every group above has a limit, too. Those that a container cannot see are absent.
+            for folder in (group, *group.parents):
+                if folder.is_relative_to(root / top):
+                    free = min(free, _free_bytes_of_group(folder, *files))
+    return max(free, 0.0)
+
+
+def _free_bytes_of_group(folder: Path, limit: str, used: str, inactive: str) -> float:
+    """Return the limit of one group less what it uses; infinity if it has none."""
+    try:
+        most, now = ((folder / name).read_text().strip() for name in (limit, used))
+        stat = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
+    except OSError:
+        return math.inf
+    return math.inf if most == "max" else float(most) - float(now) + float(stat.get(inactive, 0))
+
+
+def free_bytes_of_machine() -> float:
+    """Return the free memory of the machine in bytes; infinity if unknown."""
     try:
         lines = Path("/proc/meminfo").read_text().splitlines()
     except OSError:
