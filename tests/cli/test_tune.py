@@ -268,7 +268,7 @@ def test_nothing_is_written_unless_the_search_can_begin(plays, tmp_path, capsys,
 
 def test_only_a_search_can_be_resumed(tmp_path, capsys):
     assert main(["tune", "--run-dir", str(tmp_path), "--resume"]) == 2
-    assert f"{tmp_path}/preset.json" in capsys.readouterr().err
+    assert f"{tmp_path} is not a search: it has no preset.json" in capsys.readouterr().err
 
 
 def test_other_commands_name_the_trials_of_a_search(plays, tmp_path, capsys):

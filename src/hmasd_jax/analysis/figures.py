@@ -246,7 +246,7 @@ def save(figure: "Figure", out: Path) -> Path:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with matplotlib.rc_context(EDITABLE_TEXT):
-            figure.savefig(out)
+            figure.savefig(out, format=out.suffix[1:])
     except (OSError, ValueError) as error:  # ValueError for an unknown format
         raise RunError(
             f"cannot write {out}: {getattr(error, 'strerror', None) or error}"

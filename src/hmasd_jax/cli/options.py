@@ -12,6 +12,9 @@ from tyro.conf import Positional, arg
 from hmasd_jax.cli.vary import split_settings
 from hmasd_jax.validation import FASTEST_FPS, SLOWEST_FPS, ConfigError, check_range
 
+IMAGES = (".png", ".pdf", ".svg")
+"""Endings of images that curves can be drawn to."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -161,9 +164,12 @@ class TuneOptions(RunOptions):
     @property
     def base(self) -> Path | None:
         """File of settings that those of the command line change."""
-        if self.config is None and self.resume and self.run_dir is not None:
-            return self.run_dir / "preset.json"
-        return self.config
+        if self.config is not None or not self.resume or self.run_dir is None:
+            return self.config
+        preset = self.run_dir / "preset.json"
+        if not preset.is_file():
+            raise ConfigError(f"{self.run_dir} is not a search: it has no preset.json")
+        return preset
 
 
 @dataclass(frozen=True)
@@ -225,6 +231,10 @@ class PlotOptions(Options):
     show_seeds: bool = False
     """Also draw a thin line per seed."""
 
+    def __post_init__(self) -> None:
+        if self.out.suffix not in IMAGES:
+            raise ConfigError(f"--out must end in {', '.join(IMAGES)}; got {self.out}")
+
 
 @dataclass(frozen=True)
 class CompareOptions(PlotOptions):
@@ -239,7 +249,10 @@ class CompareOptions(PlotOptions):
     return above 0."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_range(self, "last", low=1)
+        if self.solved_at is not None:
+            check_range(self, "solved_at")
 
 
 @dataclass(frozen=True)
@@ -266,6 +279,8 @@ class ReportOptions(Options):
     """Port of the served page; 0 takes a free one."""
 
     def __post_init__(self) -> None:
+        if self.solved_at is not None:
+            check_range(self, "solved_at")
         check_range(self, "port", low=0, high=65535)
         check_range(self, "episodes", low=2)
         check_range(self, "seeds", low=0)

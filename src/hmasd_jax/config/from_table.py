@@ -144,8 +144,12 @@ def _convert_choice(value: Any, choices: tuple, path: str) -> Any:
 
 
 def _convert_union(value: Any, options: tuple, path: str) -> Any:
-    """Convert `value` to the first type that accepts it; the word `none` stands for None."""
-    if (value is None or str(value).lower() == "none") and type(None) in options:
+    """Convert `value` to the first type that accepts it.
+
+    The word `none` stands for None, unless it may be a text or a path.
+    """
+    is_none = value is None or (str(value).lower() == "none" and not {str, Path} & {*options})
+    if is_none and type(None) in options:
         return None
     options = tuple(option for option in options if option is not type(None))
     for option in options[:-1]:
