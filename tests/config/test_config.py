@@ -270,3 +270,5 @@ def test_the_largest_interval_means_never():
     plan = make_plan(config)
     assert plan.num_evaluations == 2
     assert plan.next_stop(0) == plan.num_updates
+    # The log interval is 5 updates, and 4 divide the longest interval.
+    assert make_plan(load(None, {"eval_interval": 2**62})).log_every == 4

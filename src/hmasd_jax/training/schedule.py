@@ -4,7 +4,9 @@ import math
 from dataclasses import dataclass
 
 from hmasd_jax.config import TrainConfig
-from hmasd_jax.validation import LARGEST
+
+LONGEST = 2**30
+"""Most updates between evaluations. It has many divisors, which the log interval may be."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def make_plan(config: TrainConfig) -> Plan:
     updates, wherever a run is interrupted and resumed.
     """
     per_update = config.env_steps_per_update
-    eval_every = min(max(1, round(config.eval_interval / per_update)), LARGEST)
+    eval_every = min(max(1, round(config.eval_interval / per_update)), LONGEST)
     wanted = max(1, round(config.log_interval / per_update))
     log_every = max(d for d in divisors(eval_every) if d <= wanted)
     saves = max(1, round(config.checkpoint_interval / per_update / log_every))
