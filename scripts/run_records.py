@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean
@@ -35,7 +36,7 @@ def record(run: Path) -> dict[str, Any]:
     for seed, other in zip(seeds[1:], others):
         joined |= _join(joined, other, f"seed {seed} of {run}")
     about = {name: value for name, value in about.items() if name != "resumed"}
-    found = {**about, "command": " ".join(about["command"]), "config": config, **joined}
+    found = {**about, "command": shlex.join(about["command"]), "config": config, **joined}
     if recorded_seeds(found) != seeds:  # A folder may hold seeds that were trained one by one.
         found["command"] = _name_seeds(any_seed(found["command"]), found, seeds)
     return found

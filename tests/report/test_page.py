@@ -27,7 +27,8 @@ def hmasd(tmp_path_factory):
         tmp_path_factory.mktemp("runs") / "skills", [[0, 0.5, 1, 1], [0, 1], []], **HMASD
     )
     save_checkpoint(run, 0, 300)
-    write_json(run / "run.json", {"command": ["python", "train"], "commit": "abc123", "jax": "1.2"})
+    command = ["python", "train", "--run-dir", "a run"]
+    write_json(run / "run.json", {"command": command, "commit": "abc123", "jax": "1.2"})
     failed = {"status": "failed", "message": "loss is <nan>"}
     write_json(run / "summary.json", {"seeds": {"2": failed}})
     return run
@@ -74,7 +75,7 @@ def test_the_page_says_what_was_run(report):
     text = body_of(report)
     assert "alice_and_bob" in text
     assert "abc123" in text
-    assert "<pre>python train</pre>" in text
+    assert "<pre>python train --run-dir &#39;a run&#39;</pre>" in text
     assert "differ from the preset alice_and_bob/hmasd" in text
     assert "differ from the preset alice_and_bob/mappo" in text
     assert re.search(

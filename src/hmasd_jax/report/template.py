@@ -1,5 +1,6 @@
 """Templates of the pages, and how they write numbers."""
 
+import shlex
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,6 +28,7 @@ def load_template(name: str) -> "Template":
         "percent": write_percent,
         "reached": write_reached,
         "html": Markup,
+        "shell": shlex.join,
     }
     return environment.get_template(name)
 
