@@ -2,8 +2,9 @@
 
 python scripts/continue_training.py RUN OUT --seed 1 --step 400000 --set algorithm.solved.balance=0
 
-OUT (JSON) gets one row per repetition: the success of the episodes that sample, in percent, over
-every five updates, or the mean team reward of a step where the environment counts no success.
+OUT (JSON) gets one row per repetition: the success in training, in percent, over every five
+updates, or the mean team reward of a step where the environment counts no success. Copies that act
+greedily count, too.
 Repetitions differ in their random numbers alone. The settings must leave the shapes of the train
 state as they are.
 """
