@@ -5,7 +5,7 @@ the high level), L steps of a sequence.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import optax
@@ -49,6 +49,7 @@ class Learner(NamedTuple):
     opt_state: optax.OptState
 
 
+@runtime_checkable
 class StepFn(Protocol):
     """Acting of a policy on a batch of any leading shape."""
 

@@ -9,7 +9,7 @@ would never know.
 """
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -18,6 +18,7 @@ from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.rl.ppo import PPOConfig, has_choice
 
 
+@runtime_checkable
 class Settings(Protocol):
     """Settings of an algorithm that can imitate its own successes."""
 

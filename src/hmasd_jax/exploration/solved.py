@@ -7,7 +7,7 @@ coefficient as it is. A traced number would round the whole update differently.
 
 import dataclasses
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -37,6 +37,7 @@ class SolvedConfig:
         check_range(self, "step_factor", low=0, high=1)
 
 
+@runtime_checkable
 class SolvedSettings(Settings, Protocol):
     """Settings of an algorithm that explores and knows when its task is solved."""
 

@@ -35,7 +35,7 @@ def choose(
 
 
 def mask_logits(
-    logits: Float[Array, "*batch choices"], mask: Bool[Array, "*batch choices"]
+    logits: Float[Array, "*batch choices"], mask: Bool[Array, "*#batch choices"]
 ) -> Float[Array, "*batch choices"]:
     """Make illegal choices impossible."""
     return jnp.where(mask, logits, MASKED_LOGIT)

@@ -13,11 +13,11 @@ from hmasd_jax.rl.value_norm import ValueNorm, denormalize
 
 
 def gae(
-    reward: Float[Array, "T *batch"],
-    value: Float[Array, "T *batch"],
-    next_value: Float[Array, "T *batch"],
-    terminated: Bool[Array, "T *batch"],
-    done: Bool[Array, "T *batch"],
+    reward: Float[Array, "T *#batch"],
+    value: Float[Array, "T *#batch"],
+    next_value: Float[Array, "T *#batch"],
+    terminated: Bool[Array, "T *#batch"],
+    done: Bool[Array, "T *#batch"],
     discount: float,
     gae_lambda: float,
 ) -> tuple[Float[Array, "T *batch"], Float[Array, "T *batch"]]:

@@ -132,9 +132,9 @@ def policy_loss(
 
 
 def value_loss(
-    value: Float[Array, "*batch"],
-    old_value: Float[Array, "*batch"],
-    target: Float[Array, "*batch"],
+    value: Float[Array, "*#batch"],
+    old_value: Float[Array, "*#batch"],
+    target: Float[Array, "*#batch"],
     clip_epsilon: float,
     huber_delta: float,
 ) -> Float[Array, ""]:
@@ -152,9 +152,9 @@ def ppo_loss(
     log_prob: Float[Array, "*batch"],
     old_log_prob: Float[Array, "*batch"],
     advantage: Float[Array, "*batch"],
-    value: Float[Array, "*values"],
-    old_value: Float[Array, "*values"],
-    target: Float[Array, "*targets"],
+    value: Float[Array, "*#values"],
+    old_value: Float[Array, "*#values"],
+    target: Float[Array, "*#values"],
     config: PPOConfig,
     active: Bool[Array, "*batch"] | None = None,
 ) -> tuple[Float[Array, ""], Metrics]:

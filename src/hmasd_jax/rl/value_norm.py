@@ -11,11 +11,14 @@ MIN_VARIANCE = 1e-2
 
 
 class ValueNorm(NamedTuple):
-    """Exponential averages of x, x^2 and 1. The last removes the bias towards zero."""
+    """Exponential averages of x, x^2 and 1. The last removes the bias towards zero.
 
-    mean: Float[Array, ""]
-    square: Float[Array, ""]
-    weight: Float[Array, ""]
+    There is one for all values, or one per value where algorithms map these functions over them.
+    """
+
+    mean: Float[Array, "*values"]
+    square: Float[Array, "*values"]
+    weight: Float[Array, "*values"]
 
     @classmethod
     def create(cls) -> "ValueNorm":
@@ -29,7 +32,7 @@ def update(norm: ValueNorm, target: Float[Array, "*batch"]) -> ValueNorm:
     return ValueNorm(*(DECAY * old + (1.0 - DECAY) * new for old, new in zip(norm, batch)))
 
 
-def statistics(norm: ValueNorm) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def statistics(norm: ValueNorm) -> tuple[Float[Array, "*values"], Float[Array, "*values"]]:
     """Return the debiased mean and standard deviation, in reward units."""
     weight = jnp.maximum(norm.weight, MIN_WEIGHT)
     mean, square = norm.mean / weight, norm.square / weight

@@ -45,7 +45,7 @@ class StepKeys(NamedTuple):
     """The same with s'_j."""
 
 
-def local_state(obs: Float[Array, "*batch N obs"], config: LocalStateConfig) -> Keys:
+def local_state(obs: Float[Array, "*batch N obs"], config: LocalStateConfig) -> UInt32[Array, "*batch N"]:
     """Return a number (*batch, N) for each agent's local state."""
     features = config.features or range(obs.shape[-1])
     cells = jnp.round(obs[..., np.array(features)] / config.resolution).astype(jnp.int32)

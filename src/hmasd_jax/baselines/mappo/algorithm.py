@@ -6,7 +6,7 @@ for all agents, or one per agent (`MAPPOConfig.critic_input`).
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -52,6 +52,7 @@ class MAPPOState(NamedTuple):
     successes: Any = ()
 
 
+@runtime_checkable
 class Learned(Protocol):
     """State of training, as far as acting and evaluating need it."""
 
