@@ -99,6 +99,11 @@ def summarize_record(record: dict[str, Any], task: Task) -> Summary:
 
 
 def final_scores(record: dict[str, Any]) -> np.ndarray:
-    """Return the score of each seed of a record, (seeds,): the mean of its last evaluations."""
+    """Return the score of each seed of a record, (seeds,): the mean of its last evaluations.
+
+    Raises:
+        ValueError: A seed has fewer than `LAST` evaluations after step 0.
+    """
     scale = 100 if record["metric"] == "success" else 1
-    return scale * last_evaluations(record["values"], LAST)
+    first = int(record["env_steps"][0] == 0)
+    return scale * last_evaluations([values[first:] for values in record["values"]], LAST)

@@ -220,7 +220,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
 
     Raises:
         ValueError: `out` is not a JSON file in the folder of a task in `TASKS`, or a run is not
-            finished, or differs from the others.
+            finished, differs from the others or has too few evaluations.
     """
     folders = {RESULTS / name: name for name in TASKS}
     if out.parent not in folders or out.suffix != ".json":
@@ -228,6 +228,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     task = folders[out.parent]
     is_more = add and out.exists()
     kept = add_seeds(json.loads(out.read_text()), runs) if is_more else record_together(runs)
+    row(out, kept, TASKS[task])  # Raises what the page would.
     out.parent.mkdir(parents=True, exist_ok=True)
     durable.replace(out, f"{json.dumps(kept)}\n".encode())
     if algorithm_of(out) == "hmasd" and not any(setting in out.stem for setting in SKILLS):

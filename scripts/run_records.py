@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+from collections.abc import Sequence
 from itertools import chain, pairwise
 from pathlib import Path
 from statistics import fmean
@@ -36,7 +37,7 @@ def record(run: Path) -> dict[str, Any]:
     for seed, other in zip(seeds[1:], others):
         joined |= _join(joined, other, f"seed {seed} of {run}")
     about = {name: value for name, value in about.items() if name != "resumed"}
-    found = {**about, "command": shlex.join(about["command"]), "config": config, **joined}
+    found = {**about, "command": write_command(about["command"]), "config": config, **joined}
     if recorded_seeds(found) != seeds:  # A folder may hold seeds that were trained one by one.
         found["command"] = _name_seeds(any_seed(found["command"]), found, seeds)
     return found
@@ -192,6 +193,15 @@ def recorded_seeds(record: dict[str, Any]) -> list[int]:
     return [int(single[1])] if single else list(range(len(record["values"])))
 
 
+def write_command(words: Sequence[str]) -> str:
+    """Return the text of a command, with each option in the form `--its-name value`."""
+    plain: list[str] = []
+    for word in words:
+        name, *value = word.split("=", 1) if word.startswith("--") else [word]
+        plain += [name.replace("_", "-") if word.startswith("--") else name, *value]
+    return shlex.join(plain)
+
+
 def any_count(command: str) -> str:
     """Return the command that trains one of the seeds, of however many."""
     command = any_seed(command.partition(" for I = ")[0]).replace(" seed_sweep ", " train ")
@@ -200,7 +210,7 @@ def any_count(command: str) -> str:
 
 def any_seed(command: str) -> str:
     """Remove the seed, the number of steps and the run folder from a command."""
-    return re.sub(r" --(seed-index|total-env-steps|run-dir) \S+", "", command)
+    return re.sub(r" --(seed-index|total-env-steps|run-dir) ('[^']*'|\S+)", "", command)
 
 
 def training_means(records: list[dict[str, Any]]) -> dict[str, list[float | None]]:

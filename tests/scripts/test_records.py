@@ -5,6 +5,8 @@ import re
 
 import pytest
 
+from hmasd_jax.config import load, to_json
+from hmasd_jax.runs.folder import write_json
 from scripts import (
     battle_tactics,
     random_play,
@@ -175,8 +177,43 @@ def test_a_seed_that_was_stopped_with_reward_is_not_recorded(stopped_run):
 
 
 def test_a_stopped_seed_scores_what_it_had():
-    record = {"metric": "success", "values": [[0.0, *[1.0] * 5], [0.0] * 5]}
+    steps = [*range(7)]
+    record = {"metric": "success", "env_steps": steps, "values": [[0.0, *[1.0] * 6], [0.0] * 6]}
     assert final_scores(record).tolist() == [100.0, 0.0]
+
+
+def test_the_untrained_policy_has_no_part_in_a_score():
+    record = {"metric": "return", "env_steps": [*range(6)], "values": [[90.0, *[3.0] * 5]]}
+    assert final_scores(record).tolist() == [3.0]
+    with pytest.raises(ValueError, match="cannot take the last 5 of 4"):
+        final_scores({"metric": "return", "env_steps": [*range(5)], "values": [[9.0] * 5]})
+
+
+def test_a_run_with_too_few_evaluations_is_refused_before_anything_is_written(run, monkeypatch):
+    write_json(run / "config.json", to_json(load(None)))
+    monkeypatch.setattr(record_result, "RESULTS", run.parent)
+    with pytest.raises(ValueError, match="cannot take the last 5 of 3"):
+        record_result.keep([run], run.parent / "alice_and_bob" / "x.json")
+    assert not (run.parent / "alice_and_bob").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--seed-index", "3", "--run-dir", "a run"],
+        ["--seed_index=3", "--run-dir=a run"],
+        ["--run_dir", "a run", "--seed_index", "3"],
+    ],
+)
+def test_an_option_may_be_typed_in_any_form(words):
+    command = run_records.write_command(["python", "x", *words, "--env.options", "walls=true"])
+    assert run_records.recorded_seeds({"command": command, "values": [[0.0]]}) == [3]
+    assert run_records.any_seed(command) == "python x --env.options walls=true"
+
+
+def test_a_run_without_a_preset_is_one_of_the_preset_that_commands_begin_with():
+    record = {"command": "python -m hmasd_jax.train seed_sweep", "config": to_json(load(None))}
+    assert changed_settings(record) == {}
 
 
 def test_seeds_are_added_to_a_record_with_their_commit(seed_runs):
