@@ -1,9 +1,9 @@
-"""Record how far each update moves the coordinator of runs, beside the success of sampled play.
+"""Record how far each update moves the coordinator of runs, beside the success in training.
 
 python scripts/coordinator_updates.py OUT RUN [RUN ...]
 
 OUT (JSON) gets one entry per run of one seed: what produced it, and of each training record after
-0.6e6 environment steps the success of sampled play, the KL divergence of an update of the
+0.6e6 environment steps the success of all copies, the KL divergence of an update of the
 coordinator, and the entropy of an individual skill. A record is a mean over updates.
 """
 

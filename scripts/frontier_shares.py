@@ -23,7 +23,8 @@ def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]
     """Return a row per direction and bin of one feature of the state."""
     num_bins = frontier.reached.shape[-1]
     ends = np.linspace(float(frontier.low[feature]), float(frontier.high[feature]), num_bins + 1)
-    recent = per_episode(frontier.reached[:, feature], frontier.episodes.sum())
+    # Episodes under way have reached bins, and do not count as episodes yet.
+    recent = np.minimum(per_episode(frontier.reached[:, feature], frontier.episodes.sum()), 1.0)
     largest = np.asarray(frontier.mastered[:, feature])
     return [
         {

@@ -17,7 +17,6 @@ from hmasd_jax.config.presets import find_preset
 from hmasd_jax.rl.ppo import PPOConfig
 
 CONFIGS = Path(__file__).parents[2] / "configs"
-EAST = 4
 
 
 @pytest.mark.parametrize("name", ["hmasd_general", "mappo_general"])

@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, UInt32
 
 from hmasd_jax.baselines.eiti import tables
 from hmasd_jax.baselines.eiti.config import LocalStateConfig
-from hmasd_jax.baselines.eiti.tables import Keys, Table, make_key
+from hmasd_jax.baselines.eiti.tables import Table, make_key
 from hmasd_jax.types import Transition
 
 VISIT, ALONE, GIVEN_OTHER = range(3)
@@ -45,7 +45,9 @@ class StepKeys(NamedTuple):
     """The same with s'_j."""
 
 
-def local_state(obs: Float[Array, "*batch N obs"], config: LocalStateConfig) -> UInt32[Array, "*batch N"]:
+def local_state(
+    obs: Float[Array, "*batch N obs"], config: LocalStateConfig
+) -> UInt32[Array, "*batch N"]:
     """Return a number (*batch, N) for each agent's local state."""
     features = config.features or range(obs.shape[-1])
     cells = jnp.round(obs[..., np.array(features)] / config.resolution).astype(jnp.int32)
