@@ -1,11 +1,17 @@
-"""The sum of two exploration bonuses."""
+"""The sum of two exploration bonuses, and that a bonus is paid."""
+
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import pytest
 from numpy.testing import assert_allclose
 
+import envs_jax
+from hmasd_jax.baselines.mappo import MAPPOConfig
+from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, add
+from hmasd_jax.rl.ppo import PPOConfig
 from tests.helpers.rollouts import outcome_of
 
 OUTCOME = outcome_of(jnp.arange(12.0).reshape(3, 2, 2))
@@ -50,3 +56,26 @@ def test_the_sum_counts_unsolved_episodes_like_the_bonus_that_does():
 def test_no_bonus_adds_nothing(other):
     assert add(NO_BONUS, other) is other
     assert add(other, NO_BONUS) is other
+
+
+def test_mappo_is_paid_the_bonus_beside_the_reward(monkeypatch):
+    config = MAPPOConfig(ppo=PPOConfig(num_envs=2, rollout_length=10, hidden_size=8))
+    parts = mappo.make_parts(envs_jax.make("probe_constant_reward"), config)
+    parts = replace(parts, bonus=constant(3.0, "bonus"))
+    noted = {}
+
+    def make_batch(*arguments):
+        noted.update(paid=arguments[5], reward=arguments[2].outcome.reward)
+        return original(*arguments)
+
+    original = mappo.make_batch
+    monkeypatch.setattr(mappo, "make_batch", make_batch)
+
+    @jax.jit
+    def update(key):
+        mappo.train_iteration(parts, mappo.init_state(parts, key))
+        return noted
+
+    used = update(jax.random.key(0))
+    assert used["reward"].any()
+    assert_allclose(used["paid"][..., 0], used["reward"] + 3.0)

@@ -18,6 +18,7 @@ from hmasd_jax.exploration.successes import (
     imitation_loss,
     insert,
 )
+from hmasd_jax.hmasd.components import make_parts
 from hmasd_jax.hmasd.config import HMASDConfig
 from hmasd_jax.networks.actor_critic import ActorCriticMemory, SequenceBatch
 from hmasd_jax.rl.gae import reward_to_go
@@ -124,12 +125,17 @@ def test_training_raises_the_probability_of_stored_actions_and_an_empty_store_ch
 
 
 @pytest.mark.parametrize(("coef", "steps"), [(1.0, 3 * (2 + 5)), (0.0, 3 * 2)])
-def test_the_step_size_counts_the_steps_of_imitation(coef, steps):
-    config = MAPPOConfig(
-        imitation=ImitationConfig(coef=coef, steps=5),
-        ppo=replace(PPO, num_epochs=2, decay_updates=3),
-    )
-    optimizer = mappo.make_parts(ENV, config).optimizer
+@pytest.mark.parametrize("algorithm", ["mappo", "hmasd"])
+def test_the_step_size_counts_the_steps_of_imitation(algorithm, coef, steps):
+    settings = {
+        "imitation": ImitationConfig(coef=coef, steps=5),
+        "ppo": replace(PPO, num_epochs=2, decay_updates=3),
+    }
+    if algorithm == "mappo":
+        optimizer = mappo.make_parts(ENV, MAPPOConfig(**settings)).optimizer
+    else:
+        config = HMASDConfig(skill_interval=2, **settings)
+        optimizer = make_parts(ENV, config).discoverer_optimizer
     params = {"actor": jnp.ones(1), "critic": jnp.ones(1)}
 
     def step(state, _):

@@ -29,14 +29,16 @@ def test_movement_counts_along_the_skills_own_direction():
 
 
 def _line(key, size=512):
-    """Skill 1 moves agent 0 up its first feature, skill 0 moves it down; the rest is noise."""
+    """Skill 1 moves up the first feature, of an agent or of the state, and skill 0 down."""
     key_z, key_x, key_o = jax.random.split(key, 3)
     skills = jax.random.randint(key_z, (size, 1 + ENV.num_agents), 0, 2)
     obs = 0.01 * jax.random.normal(key_o, (size, ENV.num_agents, ENV.obs_dim))
     obs = obs.at[:, :, 0].set(jax.random.uniform(key_x, (size, ENV.num_agents), minval=-1))
-    state = jnp.zeros((size, ENV.state_dim))
-    step = 0.2 * (2.0 * skills[:, 1:] - 1.0)
-    return SkillSteps(state, obs, state, obs.at[:, :, 0].add(step), skills)
+    state = 0.01 * jax.random.normal(key_o, (size, ENV.state_dim))
+    state = state.at[:, 0].set(10 * jax.random.uniform(key_x, (size,), minval=-1))
+    step = 0.2 * (2.0 * skills - 1.0)
+    next_state = state.at[:, 0].add(10 * step[:, 0])
+    return SkillSteps(state, obs, next_state, obs.at[:, :, 0].add(step[:, 1:]), skills)
 
 
 @pytest.fixture(scope="module")
@@ -59,17 +61,28 @@ def learned():
 def test_skills_that_move_apart_are_paid_and_swapped_skills_are_charged(learned):
     part, state, _ = learned
     steps = _line(jax.random.key(5))
-    _, individual, _ = part.reward(state, steps)
-    _, swapped, _ = part.reward(state, steps._replace(skills=1 - steps.skills))
-    assert individual.mean() > 0.5
-    assert swapped.mean() < -0.5
-    assert_allclose(individual, -swapped, atol=1e-5)
+    rewards = part.reward(state, steps)[:2]
+    swapped = part.reward(state, steps._replace(skills=1 - steps.skills))[:2]
+    for paid, charged in zip(rewards, swapped):
+        assert paid.mean() > 0.5
+        assert charged.mean() < -0.5
+        assert_allclose(paid, -charged, atol=1e-5)
+
+
+def test_each_weight_is_that_of_its_own_reward(learned):
+    _, state, _ = learned
+    steps = _line(jax.random.key(7))
+    team, individual, _ = make_distance(ENV, 2, 2, DistanceConfig(1.0, 1.0)).reward(state, steps)
+    weighted = make_distance(ENV, 2, 2, DistanceConfig(individual_coef=2.0, team_coef=3.0))
+    rewards = weighted.reward(state, steps)[:2]
+    assert_allclose(rewards[0], 3.0 * team, rtol=1e-5)
+    assert_allclose(rewards[1], 2.0 * individual, rtol=1e-5)
 
 
 def test_standing_still_pays_nothing(learned):
     part, state, _ = learned
     steps = _line(jax.random.key(6))
-    still = steps._replace(next_obs=steps.obs)
+    still = steps._replace(next_obs=steps.obs, next_state=steps.state)
     team, individual, _ = part.reward(state, still)
     assert_allclose(individual, 0.0, atol=1e-6)
     assert_allclose(team, 0.0, atol=1e-6)
