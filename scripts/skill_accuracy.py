@@ -6,8 +6,9 @@ All agents hold one skill for whole episodes, and sample their actions. A new cl
 of q_d learns which skill it was from the observations of half of the episodes. OUT (JSON) gets one
 row per seed: the share of the steps of the other half at which it is right, and that of its
 segments of k steps, the time for which the coordinator assigns a skill. Another classifier judges a
-segment by the sum of what it says of its steps. Skills are held equally often, so chance is
-1 / n_z. The accuracy of q_d in training is higher where the coordinator prefers a skill.
+segment by the sum of what it says of its steps. Skills weigh alike, however soon their episodes
+end, so chance is 1 / n_z. The accuracy of q_d in training is higher where the coordinator prefers a
+skill.
 """
 
 from pathlib import Path
@@ -70,6 +71,8 @@ def cut(x: np.ndarray, length: int) -> np.ndarray:
 def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Array) -> float:
     """Train on the first half of the episodes, and return the accuracy on the other half.
 
+    The samples of each skill have the same weight in both, however many there are.
+
     Args:
         obs: Segments (n, episodes, segments, L, obs), as of `cut`.
         counted: Whether a step counts. A segment counts if one of its steps does.
@@ -86,6 +89,8 @@ def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Ar
         return tuple(map(jnp.asarray, arrays))
 
     train, test = select(slice(half)), select(slice(half, None))
+    weight = 1.0 / jnp.maximum(jnp.bincount(train[2], length=len(obs)), 1)
+    weight = weight * len(train[2]) / len(obs)
     scale = moments.update(moments.Moments.create(obs.shape[-1]), train[0][train[1]])
     network = Classifier(len(obs), hidden_size)
     key, key_init = jax.random.split(key)
@@ -97,7 +102,8 @@ def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Ar
         return jax.nn.log_softmax(jnp.sum(each, axis=-2, where=counted[..., None]))
 
     def loss_fn(params, obs, counted, skill):
-        return -jnp.take_along_axis(log_probs(params, obs, counted), skill[:, None], 1).mean()
+        log_prob = jnp.take_along_axis(log_probs(params, obs, counted), skill[:, None], 1)[:, 0]
+        return -(weight[skill] * log_prob).mean()
 
     def step(carry, key):
         params, opt_state = carry
@@ -110,7 +116,8 @@ def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Ar
     keys = jax.random.split(key, GRADIENT_STEPS)
     (params, _), _ = jax.jit(lambda c: jax.lax.scan(step, c, keys))(carry)
     *inputs, skill = test
-    return float((jax.jit(log_probs)(params, *inputs).argmax(-1) == skill).mean())
+    right = np.asarray(jax.jit(log_probs)(params, *inputs).argmax(-1) == skill)
+    return float(np.mean([right[skill == z].mean() for z in np.unique(skill)]))
 
 
 def measure(run: Path, seed: int) -> dict[str, Any]:

@@ -34,6 +34,12 @@ def test_equal_skills_are_guessed():
     assert accuracy(shift=0.0) == pytest.approx(1 / SKILLS, abs=0.1)
 
 
+def test_skills_that_are_held_longer_are_no_easier_to_guess():
+    counted = np.ones((SKILLS, EPISODES, STEPS, AGENTS), bool)
+    counted[1:, :, 4:] = False
+    assert accuracy(shift=0.0, counted=counted) == pytest.approx(1 / SKILLS, abs=0.1)
+
+
 def test_segments_tell_more_than_their_steps():
     assert accuracy(shift=1.0) < 0.7
     assert accuracy(shift=1.0, length=10) > 0.9
