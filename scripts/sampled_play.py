@@ -1,9 +1,10 @@
-"""Record how often trained teams succeed that sample, beside the same teams that act greedily.
+"""Record how well trained teams play that sample, beside the same teams that act greedily.
 
 python scripts/sampled_play.py RUN OUT
 
-OUT (JSON) gets one row per seed: the share of episodes with success, played greedily, and played
-with sampled skills and actions. Both use the parameters that evaluation uses.
+OUT (JSON) gets one row per seed: the share of episodes with success, or the mean return where the
+environment has no success, played greedily, and played with sampled skills and actions. Both use
+the parameters that evaluation uses.
 """
 
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
+from hmasd_jax.analysis.learning import main_metric
 from hmasd_jax.config import build
 from hmasd_jax.rl.evaluate import evaluate
 from hmasd_jax.runs.folder import read_config
@@ -25,27 +27,27 @@ EPISODES = 1000
 
 
 @cache
-def compile_success(run: Path, greedy: bool) -> Callable[[Any, Key], Float[Array, ""]]:
+def compile_score(run: Path, greedy: bool) -> Callable[[Any, Key], Float[Array, ""]]:
     """Return a jitted function of a train state and a key, for all seeds of a run."""
     env, algorithm = build(read_config(run))
 
     @jax.jit
-    def success(state: Any, key: Key) -> Float[Array, ""]:
+    def score(state: Any, key: Key) -> Float[Array, ""]:
         policy = algorithm.policy(state, greedy=greedy)
-        return evaluate(env, policy, key, EPISODES)["success"]
+        metrics = evaluate(env, policy, key, EPISODES)
+        return metrics[main_metric(metrics)]
 
-    return success
+    return score
 
 
 def measure(run: Path, seed: int) -> dict[str, Any]:
-    """Return the share of episodes with success for both ways to play."""
+    """Return the score of both ways to play."""
     trained = load_run(run, seed)
     row: dict[str, Any] = {"seed": seed, "env_steps": trained.env_steps}
     for name, greedy in (("greedy", True), ("sampled", False)):
-        share = compile_success(run, greedy)(trained.state, jax.random.key(0))
-        row[name] = round(float(share), 4)
+        row[name] = round(float(compile_score(run, greedy)(trained.state, jax.random.key(0))), 4)
     return row
 
 
 if __name__ == "__main__":
-    record_seeds(__doc__, "folder of a run on an environment with success", measure)
+    record_seeds(__doc__, "folder of a run", measure)
