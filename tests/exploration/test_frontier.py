@@ -206,6 +206,15 @@ def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_re
     assert later.best_return == frontier.best_return
 
 
+def test_small_odds_are_not_paid_like_large_ones(bonus, empty):
+    """One of four copies rises to 4, as half of the episodes did before."""
+    known = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 4.0))
+    known = known._replace(mastered=jnp.full_like(known.mastered, 0.5))
+    _, reward = train(bonus, known, rollout_of([0.0, 4.0], *[[0.0, 0.0]] * 3))
+    # The odds are 1. One step of eight is paid them, and the mean is subtracted.
+    assert_allclose(reward[1], 0.5 * (jnp.array([1, 0, 0, 0]) - 1 / 8), rtol=1e-5)
+
+
 def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):
     wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 8.0))
     mastered, _ = train(bonus, wide, rollout_of(*[[0.0, 4.0]] * 4), times=60)

@@ -20,6 +20,11 @@ A step pays each feature once, for the rarest of the values that it reaches. A f
 values passes all between them at a time. Paid for each, the death of a unit would be worth as much
 as the whole health of an enemy, which is lost shot by shot.
 
+The sum over features is divided by the deviation of all bonuses so far, but by no less than 1, the
+odds against a value that half of the episodes reach. Where nearly all is mastered, a smaller unit
+would make much of small odds. Cooks who begin on either side of a kitchen reach a place in half of
+the episodes at most, and would tour their side to be paid for it.
+
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
@@ -56,8 +61,9 @@ class FrontierConfig:
     """Settings of the bonus."""
 
     coef: float = 0.0
-    """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far
-    times the largest mean return of an episode so far, at least 1. With 0 there is none."""
+    """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far,
+    at least 1, times the largest mean return of an episode so far, at least 1. With 0 there is
+    none."""
     num_bins: int = 20
     """Bins per feature, between the smallest and the largest value so far."""
     largest_worth: float = 100.0
@@ -144,7 +150,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         bonus = jnp.where(is_success(outcome), 0.0, bonus)
         seen = moments.update(frontier.bonuses, bonus)
         all_fail = unsolved(frontier) ** num_envs
-        unit = jnp.sqrt(seen.variance + 1e-6) / frontier.best_return
+        unit = jnp.sqrt(jnp.maximum(seen.variance, 1.0)) / frontier.best_return
         reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
