@@ -3,8 +3,9 @@
 python scripts/frontier_shares.py RUN FEATURE OUT
 
 RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON)
-gets one row per seed, direction and bin: the bin's ends, the largest share of episodes that has
-reached it so far, rising or falling, and the share over the last rollouts.
+gets one row per seed, direction and bin: the deviation of all bonuses so far, the bin's ends, the
+largest share of episodes that has reached it so far, rising or falling, and the share over the last
+rollouts.
 """
 
 import argparse
@@ -56,14 +57,15 @@ def main() -> None:
     rows: list[dict[str, Any]] = []
     for seed in run_folder.seeds_of(args.run):
         trained = load_run(args.run, seed)
-        frontier = find_frontier(trained.state.bonus)
+        frontier = find_frontier(getattr(trained.state, "bonus", ()))
         if frontier is None:
             parser.error(f"{args.run} was trained without algorithm.frontier: choose another run")
         last = len(frontier.low) - 1
         if not 0 <= args.feature <= last:
             parser.error(f"FEATURE must be from 0 to {last}, got {args.feature}")
-        shares = list_shares(frontier, args.feature)
-        rows += [{"seed": seed, "env_steps": trained.env_steps, **s} for s in shares]
+        deviation = round(float(frontier.bonuses.variance) ** 0.5, 4)
+        state = {"seed": seed, "env_steps": trained.env_steps, "deviation": deviation}
+        rows += [state | share for share in list_shares(frontier, args.feature)]
     write_rows(args.out, about, rows)
 
 

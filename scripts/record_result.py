@@ -24,7 +24,7 @@ from scripts import comparison
 from scripts.paper import TASKS, Task, final_scores, summarize_record
 from scripts.records import RESULTS, ROOT, fill_place
 from scripts.result_figures import SKILLS, TOGETHER, draw_together
-from scripts.result_settings import changed_settings, pays_every_value, preset_of
+from scripts.result_settings import changed_settings, pays_otherwise, preset_of
 from scripts.run_records import (
     add_seeds,
     commits_of,
@@ -88,8 +88,8 @@ same seeds as `seed_sweep` with the other options of the loop.
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
 has changed since, or the command changes it. A table below names these settings. A row marked † is
-of before 212fbf7: its exploration bonus pays a step for every value that it passes, and not once
-for each feature.
+of before the last change of the exploration bonus. In Overcooked that is b58b511, which pays small
+odds as they are, and elsewhere 212fbf7, which pays a step once for each feature.
 
 ## The paper's comparison
 
@@ -121,7 +121,7 @@ def row(path: Path, kept: dict[str, Any], task: Task) -> str:
     final = summarize_record(kept, task)
     low, high = final["interval"]
     iqm = estimate_iqm(final_scores(kept))
-    mark = (" †" if pays_every_value(kept) else "") + (" *" if changed_settings(kept) else "")
+    mark = (" †" if pays_otherwise(kept) else "") + (" *" if changed_settings(kept) else "")
     steps = f"{kept['env_steps'][-1]:,}"
     if cut_seeds(kept):
         steps += f" of {kept['config']['total_env_steps']:,}"

@@ -3,7 +3,7 @@
 import json
 
 from scripts.records import RESULTS
-from scripts.result_settings import changed_settings, pays_every_value, preset_of
+from scripts.result_settings import changed_settings, pays_otherwise, preset_of
 
 
 def _record(name):
@@ -41,10 +41,13 @@ def test_seeds_steps_and_checkpoints_are_no_differences():
     assert changed_settings(record | {"config": changed}) == {}
 
 
-def test_a_bonus_of_before_steps_were_paid_once_for_each_feature_is_noticed():
+def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
     record = _record("micro_battle/2s_vs_1sc/hmasd_general_per_value")
-    assert pays_every_value(record)
-    assert pays_every_value(record | {"started": "2026-11-28T21:46:59+0000"})
-    assert not pays_every_value(record | {"started": "2026-11-28T21:47:00+0000"})
-    assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd_general"))
-    assert not pays_every_value(_record("micro_battle/2s_vs_1sc/hmasd"))
+    assert pays_otherwise(record)
+    assert pays_otherwise(record | {"started": "2026-11-28T21:46:59+0000"})
+    assert not pays_otherwise(record | {"started": "2026-11-28T21:47:00+0000"})
+    assert not pays_otherwise(_record("micro_battle/2s_vs_1sc/hmasd_general"))
+    assert not pays_otherwise(_record("micro_battle/2s_vs_1sc/hmasd"))
+    kitchen = _record("overcooked/cramped_room/hmasd_general")
+    assert pays_otherwise(kitchen | {"started": "2026-11-29T06:15:59+0000"})
+    assert not pays_otherwise(kitchen | {"started": "2026-11-29T06:16:00+0000"})
