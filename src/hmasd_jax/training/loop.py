@@ -185,7 +185,7 @@ class Batch:
         metrics = _rows(sums)
         for row, seed in self.running:
             if not healthy[row]:
-                names = name_not_finite(metrics[row]) or "a parameter"
+                names = _name_not_finite(metrics[row]) or "a parameter"
                 seed.fail(f"not finite in training at env step {self.env_steps}: {names}")
                 continue
             with _failing(self.job.run, [seed]):
@@ -196,7 +196,7 @@ class Batch:
         keys = [evaluation_key(self.job.config, index, self.env_steps) for index in self.indices]
         metrics = _rows(self.programs.evaluate(self.states, jnp.stack(keys)))
         for row, seed in self.running:
-            if names := name_not_finite(metrics[row]):
+            if names := _name_not_finite(metrics[row]):
                 seed.fail(f"not finite in evaluation at env step {self.env_steps}: {names}")
                 continue
             with _failing(self.job.run, [seed]):
@@ -215,10 +215,10 @@ def _rows(metrics: dict[str, jax.Array]) -> list[dict[str, Any]]:
     return [dict(zip(columns, row)) for row in zip(*columns.values())]
 
 
-def name_not_finite(metrics: dict[str, float]) -> str:
+def _name_not_finite(metrics: dict[str, float]) -> str:
     """Return the names of metrics that are not finite, at most three; empty if all are."""
     names = [name for name, value in metrics.items() if not math.isfinite(value)]
-    return ", ".join([*names[:3], *["..."][: len(names) > 3]])
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
 
 
 def _pool(sums: dict[str, float], count: int) -> dict[str, float]:
