@@ -7,6 +7,7 @@ import sys
 import jax
 import pytest
 
+from hmasd_jax.cli import hints
 from hmasd_jax.cli.main import COMMANDS, main
 from hmasd_jax.cli.options import (
     EvaluateOptions,
@@ -45,6 +46,10 @@ def test_a_list_is_typed_as_words_or_as_in_toml(words, indices):
     loaded = load(None, overrides)
     assert loaded.algorithm.discriminator_obs == indices
     assert loaded.seed == 3
+
+
+def test_hints_know_all_commands():
+    assert (*COMMANDS,) == hints.COMMANDS
 
 
 def test_runs_of_plot_need_no_name():

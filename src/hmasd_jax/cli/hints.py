@@ -4,6 +4,11 @@ import shlex
 import sys
 from typing import Any
 
+COMMANDS = (
+    "train", "seed_sweep", "grid", "tune", "evaluate", "render", "plot", "compare", "report",
+)  # fmt: skip
+"""Names of all commands."""
+
 
 def suggest_next(*words: object) -> None:
     """Print a command on stderr, so that stdout stays what scripts read."""
@@ -20,8 +25,6 @@ def shell_command(*words: object) -> list[str]:
 
     A script that registers environments and calls `main` is a command line of its own.
     """
-    from hmasd_jax.cli.main import COMMANDS
-
     main: Any = sys.modules["__main__"]
     is_script = main.__spec__ is None and str(getattr(main, "__file__", "")).endswith(".py")
     start = ["-m", "hmasd_jax.train"]
