@@ -71,8 +71,10 @@ like the coordinator's |
 pays the step of a success, and counts an episode several times in a bin that was made of several |
 | `_general_unmixed` | the next form (c04a7af): on solved tasks no skills are drawn at random, q_d \
 is not balanced, actions gain no entropy, and the gain is 3 |
-| `_general_per_value` | the form before today's: the bonus pays a step for every value that it \
+| `_general_per_value` | the next form (e07735e): the bonus pays a step for every value that it \
 passes |
+| `_general_small_odds` | the form before today's (212fbf7): in Overcooked the bonus makes much of \
+small odds. Elsewhere it is today's |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |

@@ -28,7 +28,10 @@ EARLIER = (
     "hmasd_general_both_levels",
 )  # fmt: skip
 """Beginnings of the names of runs with earlier forms of the general preset."""
-PREVIOUS = ("hmasd_general_unsharpened", "hmasd_general_unmixed", "hmasd_general_per_value")
+PREVIOUS = (
+    "hmasd_general_unsharpened", "hmasd_general_unmixed", "hmasd_general_per_value",
+    "hmasd_general_small_odds",
+)  # fmt: skip
 """Beginnings of the names of runs with its last forms before today's."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
 """Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
