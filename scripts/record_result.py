@@ -230,7 +230,7 @@ def keep(runs: list[Path], out: Path, add: bool = False) -> None:
     task = folders[out.parent]
     is_more = add and out.exists()
     kept = add_seeds(json.loads(out.read_text()), runs) if is_more else record_together(runs)
-    row(out, kept, TASKS[task])  # Raises what the page would.
+    final_scores(kept)  # Raises an error where the page could not be written.
     out.parent.mkdir(parents=True, exist_ok=True)
     durable.replace(out, f"{json.dumps(kept)}\n".encode())
     if algorithm_of(out) == "hmasd" and not any(setting in out.stem for setting in SKILLS):

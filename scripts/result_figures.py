@@ -11,15 +11,8 @@ from scripts.records import RESULTS
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
 TOGETHER = (
-    "presets",
-    "compared",
-    "general",
-    "previous",
-    "earlier",
-    "retired",
-    "ablations",
-    *SKILLS,
-)
+    "presets", "compared", "general", "previous", "earlier", "retired", "ablations", *SKILLS,
+)  # fmt: skip
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
 """Beginnings of the names of runs with retired presets."""

@@ -37,7 +37,7 @@ def record(run: Path) -> dict[str, Any]:
     for seed, other in zip(seeds[1:], others):
         joined |= _join(joined, other, f"seed {seed} of {run}")
     about = {name: value for name, value in about.items() if name != "resumed"}
-    found = {**about, "command": write_command(about["command"]), "config": config, **joined}
+    found = {**about, "command": plain_command(about["command"]), "config": config, **joined}
     if recorded_seeds(found) != seeds:  # A folder may hold seeds that were trained one by one.
         found["command"] = _name_seeds(any_seed(found["command"]), found, seeds)
     return found
@@ -193,12 +193,15 @@ def recorded_seeds(record: dict[str, Any]) -> list[int]:
     return [int(single[1])] if single else list(range(len(record["values"])))
 
 
-def write_command(words: Sequence[str]) -> str:
+def plain_command(words: Sequence[str]) -> str:
     """Return the text of a command, with each option in the form `--its-name value`."""
     plain: list[str] = []
     for word in words:
-        name, *value = word.split("=", 1) if word.startswith("--") else [word]
-        plain += [name.replace("_", "-") if word.startswith("--") else name, *value]
+        if word.startswith("--"):
+            name, *value = word.split("=", 1)
+            plain += [name.replace("_", "-"), *value]
+        else:
+            plain.append(word)
     return shlex.join(plain)
 
 

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from hmasd_jax.algorithms import ALGORITHMS
-from tests.project.test_project import ROOT
+from scripts.records import ROOT
 
 PRESETS = (
     ("alice_and_bob/hmasd", "alice_and_bob/vdn", "micro_battle/3m/maser", "micro_battle/3m/qmix"),

@@ -206,7 +206,7 @@ def test_a_run_with_too_few_evaluations_is_refused_before_anything_is_written(ru
     ],
 )
 def test_an_option_may_be_typed_in_any_form(words):
-    command = run_records.write_command(["python", "x", *words, "--env.options", "walls=true"])
+    command = run_records.plain_command(["python", "x", *words, "--env.options", "walls=true"])
     assert run_records.recorded_seeds({"command": command, "values": [[0.0]]}) == [3]
     assert run_records.any_seed(command) == "python x --env.options walls=true"
 

@@ -21,8 +21,6 @@ Those that load its programs take 1.1 GiB."""
 M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4
 """Options of GNU's `mallopt` in <malloc.h>: the free memory at which malloc returns memory to the
 system, and the largest number of blocks to request from the system directly."""
-
-
 GROUP_FILES = {
     "": ("", "memory.max", "memory.current", "inactive_file"),
     "memory": (
