@@ -14,6 +14,7 @@ from hmasd_jax.exploration.frontier import (
     explore,
     find_bins,
     first_visits,
+    is_success,
     make_frontier,
     odds_against,
     unsolved,
@@ -172,13 +173,25 @@ def test_the_entropy_fades_with_the_share_of_won_episodes_if_asked(fade_entropy,
     assert bonus.unsolved(won) == 0.25
 
 
-def test_episodes_that_a_reward_ends_are_counted_for_each_copy(bonus, empty):
+def test_solved_episodes_are_counted_for_each_copy(bonus, empty):
     """One copy of two wins its first episode, beside 0.9 of an episode that counts at the start."""
     outcome = rollout_of(*[[0.0, 4.0]] * NUM_ENVS)
     frontier, _ = train(bonus, empty, outcome._replace(reward=outcome.reward.at[1, 1].set(1.0)))
     for copies, won in [([0, 2, 3], 0), ([1], 1 / 1.9), ([0, 1], 1 / 3.8)]:
         marked = jnp.zeros(NUM_ENVS, bool).at[jnp.array(copies)].set(True)
         assert_allclose(unsolved(frontier, marked), 1 - won, rtol=1e-6)
+
+
+def test_an_environment_that_reports_success_says_which_episodes_are_solved():
+    """A lost battle whose last step pays for damage, a win, a step within an episode, and time."""
+    ends, in_time = [True, True, False, False], [False, False, False, True]
+    paid, won = [1.0, 1.0, 1.0, 1.0], [0.0, 1.0, 1.0, 1.0]
+    terminated, truncated, reward, success = (jnp.array([x]) for x in (ends, in_time, paid, won))
+    outcome = rollout_of(*[[0.0]] * 4)
+    outcome = outcome._replace(terminated=terminated, truncated=truncated, reward=reward)
+    assert_array_equal(is_success(outcome), [[True, True, False, False]])
+    outcome = outcome._replace(info={"success": success})
+    assert_array_equal(is_success(outcome), [[False, True, False, True]])
 
 
 def test_a_window_without_an_end_of_an_episode_is_unsolved():

@@ -29,8 +29,8 @@ class Bonus(NamedTuple):
     """`entropy_weight(bonus_state)`: factor of the coefficient of the actions' entropy, which
     explores, too."""
     unsolved: Callable[..., float | Float[Array, ""]] = always_one
-    """`unsolved(bonus_state, copies=True)`: share of recent episodes that no reward ended, in the
-    copies of the environment that are marked."""
+    """`unsolved(bonus_state, copies=True)`: share of recent episodes that were not solved, in
+    the copies of the environment that are marked."""
 
 
 NO_BONUS = Bonus(

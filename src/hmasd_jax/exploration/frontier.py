@@ -28,17 +28,17 @@ the episodes at most, and would tour their side to be paid for it.
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.
 
-The step at which a reward ends the episode is paid by that reward alone. When the last enemy is
-gone, many features change at once. A bonus for all of them is hundreds of times the usual one, and
-the first wins would triple the unit of the bonus, which is the deviation of all bonuses so far.
+The step that solves an episode is paid by its reward alone. When the last enemy is gone, many
+features change at once. A bonus for all of them is hundreds of times the usual one, and the first
+wins would triple the unit of the bonus, which is the deviation of all bonuses so far.
 
-The bonus is multiplied by the chance that rewards end no episode of a batch, one per copy of the
-environment. A team that has found out how to win learns from reward alone. Where rewards end no
-episode, as soups do not, a team that has found one way to earn goes on looking for others. So that
+The bonus is multiplied by the chance that no episode of a batch is solved, one per copy of the
+environment. A team that has found out how to win learns from reward alone. Where no episode counts
+as solved, as in kitchens, a team that has found one way to earn goes on looking for others. So that
 earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
 
-The entropy of actions, which also explores, can be weighted by the share of episodes that no reward
-ended. Battles that are won by a sequence of right actions are lost by one that is drawn at random.
+The entropy of actions, which also explores, can be weighted by the share of unsolved episodes.
+Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
 from dataclasses import dataclass
@@ -73,8 +73,7 @@ class FrontierConfig:
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
     fade_entropy: bool = False
-    """If True, weight the entropy of actions by the share of recent episodes that no reward
-    ended."""
+    """If True, weight the entropy of actions by the share of recent episodes that are unsolved."""
 
     def __post_init__(self) -> None:
         check_types(self)
@@ -100,7 +99,10 @@ class Frontier(NamedTuple):
     episodes: Float[Array, " E"]
     """Number of recent episodes of each copy."""
     mastered: Float[Array, "2 state bins"]
-    """Largest share of episodes so far that reached each bin, less what is forgotten."""
+    """Largest share of episodes so far that reached each bin, less what is forgotten.
+
+    A visit counts at once, and its episode when it ends. Where episodes are longer than rollouts,
+    the share of what is reached early reads too high: 5 % with episodes of two rollouts."""
     visited: Bool[Array, "E 2 state bins"]
     """Bins that the episode under way has reached, rising and falling."""
     before: Float[Array, "E state"]
@@ -108,7 +110,7 @@ class Frontier(NamedTuple):
     begins: Bool[Array, " E"]
     """True if the next step is the first of an episode, so that `before` is of another one."""
     successes: Float[Array, " E"]
-    """Number of recent episodes of each copy that ended with a reward before the time limit."""
+    """Number of recent episodes of each copy that were solved."""
     returns: Float[Array, ""]
     """Sum of the rewards of recent rollouts."""
     best_return: Float[Array, ""]
@@ -159,7 +161,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 
 
 def unsolved(frontier: Frontier, copies: bool | Bool[Array, " E"] = True) -> Float[Array, ""]:
-    """Return the share of recent episodes that no reward ended, in the copies that are marked."""
+    """Return the share of recent episodes that were not solved, in the copies that are marked."""
     successes, episodes = (x.sum(where=copies) for x in (frontier.successes, frontier.episodes))
     return 1.0 - per_episode(successes, episodes)
 
@@ -174,7 +176,7 @@ def per_episode(
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Bool[Array, "T E 2 state bins"]]:
-    """Count the episodes of a rollout that reach each bin, those that a reward ended, and rewards.
+    """Count the episodes of a rollout that reach each bin, those that are solved, and rewards.
 
     The first step of an episode reaches nothing: `outcome` does not hold the state that it is taken
     in.
@@ -216,7 +218,12 @@ def explore(
 
 
 def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
-    """Return whether a reward ends an episode at each step."""
+    """Return whether each step ends an episode that is solved.
+
+    `success` in `info` tells. Without it, a positive reward does that comes before the time limit.
+    """
+    if "success" in outcome.info:
+        return outcome.done & (outcome.info["success"] > 0)
     return outcome.terminated & (outcome.reward > 0)
 
 

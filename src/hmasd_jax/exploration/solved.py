@@ -1,7 +1,7 @@
 """Coefficients that change once the team solves its task, for any algorithm that explores.
 
-A task is solved as far as a reward ends the episodes of all copies of the environment. The frontier
-counts these episodes. Each function returns a constant of Python where its setting leaves the
+A task is solved as far as the episodes of all copies of the environment are. The frontier counts
+them. Each function returns a constant of Python where its setting leaves the
 coefficient as it is. A traced number would round the whole update differently.
 """
 
@@ -22,14 +22,15 @@ from hmasd_jax.validation import check_range, check_types
 class SolvedConfig:
     """Settings of what changes once the task is solved. The paper changes nothing.
 
-    p is the chance that a reward ends the episodes of all copies of the environment.
+    p is the chance that the episodes of all copies of the environment are solved.
     """
 
     sharpening: float = 0.0
     """Weight against the entropy of actions, times p and the share of episodes that sampled play
     loses and greedy play wins. Needs `imitation.greedy_copies`."""
     step_factor: float = 1.0
-    """Factor of the steps of the policy of actions and its critic, which falls from 1 with p."""
+    """Factor of the learning rate of the policy of actions and its critic, which falls from 1 as p
+    rises."""
 
     def __post_init__(self) -> None:
         check_types(self)
@@ -77,12 +78,12 @@ def check_solved(config: SolvedSettings) -> None:
 def solved_chance(
     bonus: Bonus, bonus_state: Any, config: SolvedSettings
 ) -> float | Float[Array, ""]:
-    """Return p, the chance that a reward ends the episodes of all copies of the environment."""
+    """Return p, the chance that the episodes of all copies of the environment are solved."""
     return (1.0 - bonus.unsolved(bonus_state)) ** config.ppo.num_envs
 
 
 def step_factor(bonus: Bonus, bonus_state: Any, config: SolvedSettings) -> float | Float[Array, ""]:
-    """Return the factor of a learner's steps, which may fall once all copies succeed.
+    """Return the factor of a learning rate, which may fall once all copies succeed.
 
     Normalized advantages have no scale. Where every episode succeeds they are noise, which Adam
     follows in steps of full length, and the policy drifts. Where some episodes fail it still

@@ -1,4 +1,4 @@
-"""Coefficients of Eqs. 4, 6 and 7, and of the coordinator's steps, that change in training.
+"""Coefficients of Eqs. 4, 6 and 7, and of the coordinator's learning rate, that change in training.
 
 The paper keeps them constant. Each function returns a constant of Python where its settings leave
 the coefficient constant. A traced number would round the whole update differently.
@@ -15,7 +15,7 @@ from hmasd_jax.hmasd.discriminators import balance, weigh
 
 
 def _solved(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return p, the chance that a reward ends the episodes of all copies of the environment."""
+    """Return p, the chance that the episodes of all copies of the environment are solved."""
     return solved_chance(parts.bonus, bonus_state, parts.config)
 
 
@@ -94,7 +94,7 @@ def high_entropy_coef(parts: Parts, bonus_state: Any) -> float | Float[Array, ""
 
 
 def coordinator_step_factor(parts: Parts, bonus_state: Any) -> float | Float[Array, ""]:
-    """Return the factor of the coordinator's steps, which may fall with the unsolved episodes.
+    """Return the factor of the coordinator's learning rate, which may fall as episodes are solved.
 
     The reason is that of `exploration.solved.step_factor`. The noise would change the
     assignments that the team needs.

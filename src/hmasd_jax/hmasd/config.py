@@ -26,12 +26,12 @@ CoordinatorKind = Literal["learned", "team_only", "random"]
 class SolvedSkillsConfig(SolvedConfig):
     """Settings of what changes once the task is solved, in HMASD. The paper changes nothing.
 
-    p is the chance that a reward ends the episodes of all copies of the environment.
+    p is the chance that the episodes of all copies of the environment are solved.
     """
 
     coordinator_step_factor: float = 1.0
-    """Factor of the coordinator's steps, which falls from 1 with the share of episodes that a
-    reward ends."""
+    """Factor of the coordinator's learning rate, which falls from 1 as the share of solved episodes
+    rises."""
     skill_gain: float = 0.0
     """Weight that the rewards for skills gain, in units of p lambda_e times the mean team reward of
     a step and of what q_d does not know yet, so that skills become different ways to solve the
@@ -71,8 +71,8 @@ class HMASDConfig:
     low_entropy_coef: float = 0.01
     """lambda_l, weight of the discoverer's entropy in Eq. 7."""
     low_entropy_decay_updates: int = 0
-    """Updates (rollouts) over which lambda_l falls linearly to 0. With 0 it stays constant, as in
-    the paper."""
+    """Updates (rollouts) over which lambda_l, with all that is added to it, falls linearly to 0.
+    With 0 it stays constant, as in the paper."""
     low_advantage_floor: float = 0.0
     """Smallest deviation that the low level's advantages are divided by, in units of Eq. 4's r^i.
     With 0 (the paper) they are divided by their own deviation. While skills cannot be told apart
@@ -123,8 +123,8 @@ class HMASDConfig:
     """If True, subtract log p of a uniform prior from the intrinsic rewards, like Eq. 1 and unlike
     Eqs. 3-4. Without it each step costs up to lambda_D ln n_Z + lambda_d ln n_z."""
     solved: SolvedSkillsConfig = field(default_factory=SolvedSkillsConfig)
-    """Changes once the task is solved. p is the chance that a reward ends the episodes of all
-    copies of the environment. Needs the `frontier`. The paper has none."""
+    """Changes once the task is solved. p is the chance that the episodes of all copies of
+    the environment are solved. Needs the `frontier`. The paper has none."""
     distance: DistanceConfig = field(default_factory=DistanceConfig)
     """Reward for skills that lead far apart. The paper has none."""
     novelty: NoveltyConfig = field(default_factory=NoveltyConfig)

@@ -43,8 +43,8 @@ class MAPPOConfig:
     imitation: ImitationConfig = field(default_factory=ImitationConfig)
     """Imitation of own successes. The paper has none."""
     solved: SolvedConfig = field(default_factory=SolvedConfig)
-    """Changes once the task is solved. p is the chance that a reward ends the episodes of all
-    copies of the environment. Needs the `frontier`. The paper has none."""
+    """Changes once the task is solved. p is the chance that the episodes of all copies of
+    the environment are solved. Needs the `frontier`. The paper has none."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
     """Optimization settings."""
 
