@@ -118,3 +118,16 @@ def test_only_what_the_coordinator_sampled_is_in_the_high_level_batch(parts, tra
     )  # fmt: skip
     others = extras.assignment.value[5:, 2:].reshape(-1, high.target.shape[-1])
     assert all((value == others).all(-1).any() for value in high.assignment.value)
+
+
+def test_a_rollout_of_random_segments_teaches_the_values_alone(parts, trained, rollout):
+    """All of its segments are there, and none has an advantage."""
+    extras = rollout.transitions.extras
+    none = extras._replace(sampled=jnp.zeros_like(extras.sampled))
+    high = high_batch(
+        parts, trained.coordinator.params, trained.coordinator_norm,
+        rollout._replace(transitions=rollout.transitions._replace(extras=none)), jax.random.key(0),
+    )  # fmt: skip
+    assert (high.advantage == 0).all()
+    all_values = extras.assignment.value[extras.renewed]
+    assert len(np.unique(high.assignment.value[:, 0])) == len(np.unique(all_values[:, 0])) > 1

@@ -115,7 +115,8 @@ def high_batch(
     """Build B_h: one sample per segment, taken where its skills were drawn.
 
     The batch has `config.num_segments` samples: a random choice of the segments whose skills the
-    coordinator sampled, repeated if there are fewer.
+    coordinator sampled, repeated if there are fewer. Where it sampled none, those of all segments
+    have no advantage.
     """
     config, ppo = parts.config, parts.config.ppo
     segments = _in_front(find_segments(parts, params, rollout))
@@ -136,9 +137,12 @@ def high_batch(
         advantage=advantage,
         target=target,
     )
-    chosen = _choose(segments.sampled.reshape(-1), config.num_segments, key)
+    any_sampled = segments.sampled.any()
+    valid = jnp.where(any_sampled, segments.sampled, segments.begins)
+    chosen = _choose(valid.reshape(-1), config.num_segments, key)
     batch, reward = jax.tree.map(lambda x: x[chosen], flatten((batch, segments.reward)))
-    advantage = normalize_advantage(batch.advantage)
+    # Segments whose skills were drawn at random may teach the values, but not the policy.
+    advantage = jnp.where(any_sampled, normalize_advantage(batch.advantage), 0.0)
     if config.zero_reward_guard:
         advantage = jnp.where(reward.max() > reward.min(), advantage, 0.0)
     return batch._replace(advantage=advantage)
