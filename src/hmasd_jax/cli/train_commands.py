@@ -79,7 +79,9 @@ def _experiment(
 
     Its arguments are those of `run_seeds`.
     """
-    run = options.run_dir or default_folder(config)
+    check_loggers(options.loggers)
+    build(config)  # Before a folder is created: settings may not fit.
+    run = options.run_dir or create_default_folder(config)
     options = dataclasses.replace(options, run_dir=run)
     results = run_seeds(config, options, words, seeds, placement, group)
     if not group.leads:
@@ -108,8 +110,7 @@ def run_seeds(
         group: Processes that share the seeds.
         watcher: Follows the training and may end it.
     """
-    check_loggers(options.loggers)
-    env, algorithm = build(config)  # Before anything is written: settings may not fit.
+    env, algorithm = build(config)
     console, run = Console(quiet=not group.leads), options.run_dir
     assert run is not None
     _prepare(run, config, seeds, options.resume, shell_command(*words), group)
@@ -268,8 +269,22 @@ def exit_code(results: dict[int, Event]) -> int:
     return INTERRUPTED if "interrupted" in kinds else FAILED if "failed" in kinds else 0
 
 
-def default_folder(config: TrainConfig) -> Path:
-    """Return a new folder under runs/, named after task and time."""
+def create_default_folder(config: TrainConfig) -> Path:
+    """Create an empty folder under runs/, named after task and time.
+
+    Raises:
+        RunError: It cannot be created.
+    """
     names = to_json(config)
     task = f"{names['env']['name']}-{names['algorithm']['name']}"
-    return Path("runs") / f"{task}-{time.strftime('%Y%m%d-%H%M%S')}"
+    folder = first = Path("runs") / f"{task}-{time.strftime('%Y%m%d-%H%M%S')}"
+    number = 1
+    while True:
+        try:
+            folder.mkdir(parents=True)
+            return folder
+        except FileExistsError:  # Another command began in the same second.
+            number += 1
+            folder = first.with_name(f"{first.name}-{number}")
+        except OSError as error:
+            raise RunError(f"cannot write {folder}: {error.strerror}") from error

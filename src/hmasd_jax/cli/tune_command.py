@@ -13,7 +13,7 @@ from hmasd_jax.cli.options import SweepOptions, TuneOptions
 from hmasd_jax.cli.train_commands import (
     FAILED,
     INTERRUPTED,
-    default_folder,
+    create_default_folder,
     exit_code,
     run_seeds,
 )
@@ -68,8 +68,9 @@ def open_search(config: TrainConfig, options: TuneOptions) -> Search:
         RunError: The folder is no search, or another one.
         ConfigError: The space is not valid, or smaller than the number of trials.
     """
-    folder = options.run_dir or default_folder(config)
-    saved = read_search(folder, options.storage) if options.resume else None
+    saved = None
+    if options.resume and options.run_dir is not None:
+        saved = read_search(options.run_dir, options.storage)
     old = saved.definition if saved else None
     number = _first(options.trials, saved and saved.trials, TRIALS)
     definition = Definition(
@@ -85,6 +86,7 @@ def open_search(config: TrainConfig, options: TuneOptions) -> Search:
             f"trials {number} is more than the {possible} combinations of --vary: lower it to at "
             "most that, or use grid"
         )
+    folder = options.run_dir or create_default_folder(config)
     return create_or_join(folder, definition, number, options.storage, options.study_name)
 
 

@@ -107,8 +107,10 @@ def create(run: Path, config: TrainConfig, command: list[str]) -> None:
         check_unused(run)
         record = describe(command)
         run.mkdir(parents=True, exist_ok=True)
-        write_json(run / "run.json", record)
-        write_json(run / "config.json", to_json(config))  # The last: with it, this is a run.
+        with exclusive(run / LOCK):
+            check_unused(run)  # Another process may have created it in the meantime.
+            write_json(run / "run.json", record)
+            write_json(run / "config.json", to_json(config))  # The last: with it, this is a run.
     except OSError as error:
         raise RunError(f"cannot write {run}: {error.strerror}") from error
 
