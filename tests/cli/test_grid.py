@@ -6,7 +6,8 @@ import pytest
 
 from hmasd_jax.cli import train_commands
 from hmasd_jax.cli.main import main
-from hmasd_jax.cli.parse import drop_options
+from hmasd_jax.cli.options import SweepOptions
+from hmasd_jax.cli.parse import drop_options, load_config, parse
 from hmasd_jax.training.signals import stop_on_signal
 
 WORDS = ["grid", "--num-seeds", "2", "--vary", "algorithm.skill-interval=25,50"]
@@ -56,6 +57,16 @@ def test_several_settings_are_combined(sweeps, tmp_path):
     _, options, words = calls[1]
     assert options.run_dir == tmp_path / "skill_interval_25_num_skills_3"
     assert words[3:7] == ["--algorithm.skill_interval", "25", "--algorithm.num_skills", "3"]
+
+
+def test_settings_beside_a_new_algorithm_reach_it(sweeps, tmp_path):
+    """Each cell has the configuration of the command line that it records."""
+    calls, _ = sweeps
+    words = ["grid", "--vary", "algorithm.name=hmasd,mappo", "--algorithm.ppo.num-envs", "8"]
+    assert main([*words, "--run-dir", str(tmp_path)]) == 0
+    assert [config.algorithm.ppo.num_envs for config, _, _ in calls] == [8, 8]
+    for config, _, line in calls:
+        assert load_config(*parse(SweepOptions, line[1:])) == config
 
 
 def test_resume_continues_started_sweeps_and_starts_the_others(sweeps, tmp_path, capsys):

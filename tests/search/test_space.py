@@ -57,6 +57,7 @@ def test_ranges_and_lists():
         (["algorithm.num_skills=2:4.5"], "num_skills must be a whole number, got 4.5"),
         (["algorithm.num_skills=0:4"], "num_skills must be between 1"),
         (["algorithm.num_skils=2:4"], "did you mean num_skills?"),
+        (["algorithm.name=hmasd,mappo"], "each has settings of its own; search them one by one"),
         (["algorithm.ppo=2:4"], "algorithm.ppo must be a table"),
         (["env.observation=a:b"], "env.observation must be one of"),
         (["algorithm.ppo.bootstrap_truncation=0:1"], "bootstrap_truncation must be true or false"),

@@ -1,12 +1,11 @@
 """The command `grid`: a sweep for each combination of values of some settings."""
 
-from pathlib import Path
-
+from hmasd_jax.analysis.compare import are_one_task
 from hmasd_jax.cli import train_commands
 from hmasd_jax.cli.hints import suggest_next, write_command
 from hmasd_jax.cli.options import GridOptions, SweepOptions
-from hmasd_jax.cli.parse import drop_options
-from hmasd_jax.config import TrainConfig, build, change
+from hmasd_jax.cli.parse import drop_options, load_config, parse
+from hmasd_jax.config import TrainConfig, build
 from hmasd_jax.runs.folder import RunError, check_unused, is_run
 from hmasd_jax.training.signals import stop_on_signal
 
@@ -17,11 +16,12 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     All cells are checked before the first sweep starts. Each has a run folder named after it. A
     signal that stops a sweep also ends the grid, even if that sweep has just finished.
     """
-    root = options.run_dir or train_commands.default_folder(config)
-    cells = {root / name_cell(cell): cell for cell in options.cells}
-    configs = {run: change(config, cell) for run, cell in cells.items()}
+    lines = {name_cell(cell): write_line(words, cell) for cell in options.cells}
+    configs = {name: load_config(*parse(SweepOptions, line[1:])) for name, line in lines.items()}
     for cell_config in configs.values():
         build(cell_config)
+    root = options.run_dir or train_commands.create_default_folder(config)
+    cells = {root / name: line for name, line in lines.items()}
     started = [run for run in cells if is_run(run)]
     if started and not options.resume:
         raise RunError(f"{started[0]} exists: continue with --resume, or choose another --run-dir")
@@ -30,8 +30,15 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
             check_unused(run)
     codes = []
     with stop_on_signal() as interrupted:
-        for run, cell in cells.items():
-            codes.append(_sweep(run, cell, configs[run], options, words, run in started))
+        for run, line in cells.items():
+            sweep = SweepOptions(
+                run_dir=run,
+                resume=run in started,
+                tensorboard=options.tensorboard,
+                wandb=options.wandb,
+            )
+            line = [*line, "--run-dir", str(run)]
+            codes.append(train_commands.seed_sweep(configs[run.name], sweep, line))
             if codes[-1] == train_commands.INTERRUPTED or interrupted():
                 break
     if len(codes) < len(cells) or train_commands.INTERRUPTED in codes:
@@ -39,35 +46,23 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
         print(f"interrupted; to continue: {write_command(*again)}")
         return train_commands.INTERRUPTED
     if not any(codes):
-        suggest_next("compare", *cells)
+        suggest_next("compare" if are_one_task([*configs.values()]) else "plot", *cells)
     return max(codes)
 
 
-def _sweep(
-    run: Path,
-    cell: dict[str, str],
-    config: TrainConfig,
-    options: GridOptions,
-    words: list[str],
-    resume: bool,
-) -> int:
-    """Train one cell and return the exit code.
+def write_line(words: list[str], cell: dict[str, str]) -> list[str]:
+    """Return the command line that makes one cell alone, in its default folder.
+
+    A cell has the configuration that this line asks for, so that settings given beside
+    `algorithm.name` reach all algorithms.
 
     Args:
-        run: Its run folder.
-        cell: Its values by dotted name.
-        config: Its configuration.
-        options: Options of the grid.
         words: Command line of the grid.
-        resume: True if it was started before.
+        cell: Values of the cell by dotted name.
     """
-    sweep = SweepOptions(
-        run_dir=run, resume=resume, tensorboard=options.tensorboard, wandb=options.wandb
-    )
     shared = drop_options(words[1:], "vary", "run-dir", "resume")
     changes = [word for name, value in cell.items() for word in (f"--{name}", value)]
-    line = ["seed_sweep", *shared, *changes, "--run-dir", str(run)]
-    return train_commands.seed_sweep(config, sweep, line)
+    return ["seed_sweep", *shared, *changes]
 
 
 def name_cell(cell: dict[str, str]) -> str:

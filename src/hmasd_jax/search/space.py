@@ -52,6 +52,10 @@ def read_space(config: TrainConfig, settings: Sequence[tuple[str, Sequence[str]]
     for name, texts in settings:
         if not name.startswith(TASKS):
             raise ConfigError(f"--vary {name}: only settings of env and algorithm can be searched")
+        if name.endswith(".name"):
+            raise ConfigError(
+                f"--vary {name}: each has settings of its own; search them one by one"
+            )
         if len(texts) > 1:
             for text in texts:
                 change(config, {name: text})  # raises the errors
