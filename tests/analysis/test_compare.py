@@ -78,12 +78,33 @@ def test_a_metric_that_is_not_there_is_told_with_those_that_are(runs, tmp_path, 
 
 def test_refuses_what_cannot_be_compared(runs, tmp_path):
     other = write_run(tmp_path / "other", [[0.0]], **{"env.max_steps": 50})
-    with pytest.raises(RunError, match=r"other is on another task than .*good: .*'max_steps': 50"):
+    with pytest.raises(
+        RunError, match=r"other is on another task than .*good: max_steps is 50, not"
+    ):
         compare_runs([runs[0], other])
     with pytest.raises(RunError, match="no evaluation of reward yet: there are length, success"):
         compare_runs(runs, metric="reward")
     with pytest.raises(RunError, match="is not a run folder"):
         compare_runs([tmp_path])
+
+
+def test_another_view_of_the_same_task_is_compared(runs, tmp_path):
+    other = write_run(tmp_path / "other", [[0.0, 0.5]], **{"env.observation": "one_hot"})
+    assert compare_runs([runs[0], other], last=1).env_steps == 100
+
+
+def test_a_label_counts_the_seeds_that_are_shown(runs):
+    metrics_path(runs[1], 1).write_text("")
+    assert compare_runs(runs, last=1).labels == ["good (2 seeds)", "bad (1 seed)"]
+
+
+def test_only_runs_on_one_task_are_suggested_for_comparison(runs, tmp_path, capsys):
+    other = write_run(tmp_path / "other", [[0.0]], **{"env.max_steps": 50})
+    for second, command in [(runs[1], "compare"), (other, "report")]:
+        words = [str(runs[0]), str(second)]
+        assert main(["plot", *words, "--out", str(tmp_path / "x.png")]) == 0
+        next_line = capsys.readouterr().err.splitlines()[-1]
+        assert next_line == f"next: python -m hmasd_jax.train {command} {' '.join(words)}"
 
 
 def test_runs_that_were_evaluated_at_other_steps_are_told_by_their_steps(runs, tmp_path):

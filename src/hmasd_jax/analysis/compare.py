@@ -13,7 +13,6 @@ from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from rich.table import Table
 
 from envs_jax.optional import require
@@ -25,13 +24,17 @@ from hmasd_jax.analysis.statistics import (
     Estimate,
     estimate,
     estimate_fraction,
+    estimate_iqm,
+    estimate_mean,
     few_seeds,
-    interquartile_mean,
     last_evaluations,
     probability_of_improvement,
 )
-from hmasd_jax.config import to_json
+from hmasd_jax.config import TrainConfig, to_json
 from hmasd_jax.runs.folder import RunError, read_config
+
+ENCODINGS = ("observation", "state")
+"""Settings of environments that say how a task is seen, and not what it is."""
 
 
 class Comparison(NamedTuple):
@@ -86,11 +89,11 @@ def compare_runs(
     runs = [Path(run) for run in runs]
     metric = common_metric(runs) if metric is None else metric
     curves = [read_evaluations(run, metric) for run in runs]
-    tables = [to_json(read_config(run)) for run in runs]
-    for run, table in zip(runs, tables):
-        if table["env"] != tables[0]["env"]:
+    configs = [read_config(run) for run in runs]
+    for run, config in zip(runs, configs):
+        if differences := _name_differences(configs[0], config):
             raise RunError(
-                f"{run} is on another task than {runs[0]}: {table['env']}, not {tables[0]['env']}"
+                f"{run} is on another task than {runs[0]}: {differences}; `plot` draws runs of any"
             )
     groups = [list(seeds.values()) for seeds in curves]
     steps, _ = common_steps([curve for seeds in groups for curve in seeds])
@@ -110,18 +113,30 @@ def compare_runs(
     for seeds in groups:
         own, values = common_steps(seeds)
         scores.append(last_evaluations(values[:, (own > 0) & (own <= steps[-1])], last))
-    names = labels_of(runs, tables)
-    task = tables[0]["env"]["name"]
     return Comparison(
-        task=task,
+        task=to_json(configs[0])["env"]["name"],
         metric=metric,
-        labels=names,
+        labels=labels_of(runs, [to_json(config) for config in configs], curves),
         curves=curves,
         env_steps=int(steps[-1]),
         scores=scores,
         last=last,
         solved_at=default_bar(metric) if solved_at is None else solved_at,
     )
+
+
+def are_one_task(configs: Sequence[TrainConfig]) -> bool:
+    """Return whether runs with these configurations can be compared."""
+    return not any(_name_differences(configs[0], config) for config in configs)
+
+
+def _name_differences(one: TrainConfig, other: TrainConfig) -> str:
+    """Return a text on the settings that make `other` another task; empty if none does."""
+    old, new = (to_json(config)["env"] for config in (one, other))
+    if old["name"] != new["name"]:  # All settings differ, too.
+        return f"{new['name']}, not {old['name']}"
+    names = [name for name in new if name not in ENCODINGS and new[name] != old[name]]
+    return ", ".join(f"{name} is {new[name]}, not {old[name]}" for name in names)
 
 
 def tables(comparison: Comparison) -> list[Table]:
@@ -135,12 +150,8 @@ def tables(comparison: Comparison) -> list[Table]:
     )  # fmt: skip
     per_run.caption = few_seeds(min(map(len, scores)))
     for label, own in zip(labels, scores):
-        means = (
-            estimate([own], lambda groups, mean=mean: mean(groups[0]))
-            for mean in (interquartile_mean, np.mean)
-        )
-        solved = estimate_fraction(own, bar)
-        per_run.add_row(label, str(len(own)), *map(_write, means), _write(solved))
+        statistics = estimate_iqm(own), estimate_mean(own), estimate_fraction(own, bar)
+        per_run.add_row(label, str(len(own)), *map(_write, statistics))
     if len(scores) < 2:
         return [per_run]
     per_pair = Table("", "", "probability", title="Probability that a seed of the first is better")

@@ -4,7 +4,7 @@ Each curve is the mean over seeds with its 95 % bootstrap interval.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -28,7 +28,7 @@ from hmasd_jax.analysis.figures import (
 from hmasd_jax.analysis.learning import common_metric, read_records
 from hmasd_jax.config import to_json
 from hmasd_jax.runs import metrics_log
-from hmasd_jax.runs.folder import RunError, read_config, seeds_of
+from hmasd_jax.runs.folder import RunError, read_config
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -82,7 +82,7 @@ def plot_runs(
     metric = common_metric(runs) if metric is None else metric
     curves = [read_evaluations(run, metric) for run in runs]
     tables = [to_json(read_config(run)) for run in runs]
-    labels = labels_of(runs, tables)
+    labels = labels_of(runs, tables, curves)
     groups = [(label, list(seeds.values())) for label, seeds in zip(labels, curves)]
     title = ", ".join(sorted({table["env"]["name"] for table in tables}))
     panels = _diagnostics(runs, tables)
@@ -232,10 +232,15 @@ def _explain_styles(axes: "Axes") -> None:
     axes.legend(handles=lines, frameon=False, fontsize=8, loc="best")
 
 
-def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
+def labels_of(runs: list[Path], tables: list[dict[str, Any]], seeds: Sequence[Sized]) -> list[str]:
     """Return one label per run: the algorithm if all differ, else the name of the folder.
 
     Folders that share their name have the names of parents before it, until they differ.
+
+    Args:
+        runs: Folders of the runs.
+        tables: Their configurations.
+        seeds: For each run, the seeds that are shown, which the label counts.
     """
     names = [table["algorithm"]["name"] for table in tables]
     if len(set(names)) < len(names):
@@ -243,8 +248,8 @@ def labels_of(runs: list[Path], tables: list[dict[str, Any]]) -> list[str]:
         while len({parts[-depth:] for parts in folders}) < len(set(folders)):
             depth += 1
         names = ["/".join(parts[-depth:]) for parts in folders]
-    counts = [len(seeds_of(run)) for run in runs]
-    return [f"{name} ({n} seed{'s' * (n > 1)})" for name, n in zip(names, counts)]
+    counts = map(len, seeds)
+    return [f"{name} ({n} seed{'s' * (n != 1)})" for name, n in zip(names, counts)]
 
 
 def _known_metrics(run: Path) -> str:

@@ -112,10 +112,12 @@ def render(options: RenderOptions) -> int:
 
 def plot(options: PlotOptions) -> int:
     """Plot learning curves of runs and return the exit code."""
+    from hmasd_jax.analysis.compare import are_one_task
     from hmasd_jax.analysis.curves import plot_runs
 
     print(plot_runs(options.runs, options.out, options.metric, options.show_seeds))
-    suggest_next("compare" if len(options.runs) > 1 else "report", *options.runs)
+    can_compare = len(options.runs) > 1 and are_one_task([*map(read_config, options.runs)])
+    suggest_next("compare" if can_compare else "report", *options.runs)
     return 0
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from envs_jax.declared import name_actions
 from envs_jax.optional import require
-from hmasd_jax.analysis.curves import labels_of
+from hmasd_jax.analysis.curves import labels_of, read_curves
 from hmasd_jax.analysis.learning import Band, common_metric, curve_rows, default_bar
 from hmasd_jax.analysis.skills import Track, conditions
 from hmasd_jax.analysis.usefulness import table
@@ -94,9 +94,10 @@ def gather_runs(
     tables = [to_json(read_config(run)) for run in runs]
     metric = common_metric(runs)
     bar = default_bar(metric) if solved_at is None else solved_at
+    labels = labels_of(list(runs), tables, [read_curves(run, "eval", metric) for run in runs])
     return [
         gather(run, label, metric, episodes, num_seeds, bar, track)
-        for run, label in zip(runs, labels_of(list(runs), tables))
+        for run, label in zip(runs, labels)
     ]
 
 
