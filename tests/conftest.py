@@ -5,6 +5,7 @@ import functools
 import gc
 import os
 import shutil
+import sys
 import tempfile
 from importlib.metadata import version
 
@@ -19,6 +20,8 @@ FLAGS = "--xla_cpu_parallel_codegen_split_count=1"
 if tuple(map(int, version("jaxlib").split(".")[:3])) < (0, 11, 1):  # which removed it
     FLAGS += " --xla_cpu_use_fusion_emitters=false"
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FLAGS}".strip()
+# Commands that are told to be typed next then begin with `python`, in any shell.
+os.environ["PATH"] = os.pathsep.join([os.path.dirname(sys.executable), os.environ.get("PATH", "")])
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
     # A program is compiled once for all tests, for all workers of pytest and for what they start.
     programs = tempfile.mkdtemp(prefix="hmasd_jax_tests_")

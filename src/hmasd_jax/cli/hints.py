@@ -1,7 +1,9 @@
 """The next command to type, told at the end of each command."""
 
 import shlex
+import shutil
 import sys
+from pathlib import Path
 from typing import Any
 
 COMMANDS = (
@@ -16,12 +18,24 @@ def suggest_next(*words: object) -> None:
 
 
 def write_command(*words: object) -> str:
-    """Return the text of the shell command that starts this command line with `words`."""
-    return shlex.join(shell_command(*words))
+    """Return the text to type in this shell to start this command line with `words`."""
+    return shlex.join([_python(), *shell_command(*words)[1:]])
+
+
+def _python() -> str:
+    """Return how this shell starts the Python that is running.
+
+    Without an active environment `python` is another one, or none.
+    """
+    running = Path(sys.executable)
+    found = shutil.which("python")
+    if found is not None and Path(found).absolute().parent == running.parent:
+        return "python"
+    return str(running.relative_to(Path.cwd()) if Path.cwd() in running.parents else running)
 
 
 def shell_command(*words: object) -> list[str]:
-    """Return the words of the shell command that starts this command line with `words`.
+    """Return the words of the command that starts this command line with `words`.
 
     A script that registers environments and calls `main` is a command line of its own.
     """
