@@ -82,6 +82,14 @@ def test_a_word_after_a_flag_or_a_value_is_not_part_of_it():
 
 
 @pytest.mark.parametrize(
+    ("words", "sampled"), [(["--sampled", "false"], False), (["--sampled", "True"], True)]
+)
+def test_a_flag_may_have_a_value_like_a_setting(words, sampled):
+    options, _ = parse(EvaluateOptions, [*words, "run"])
+    assert (options.sampled, str(options.run)) == (sampled, "run")
+
+
+@pytest.mark.parametrize(
     ("cls", "words", "repeated"),
     [
         (TrainOptions, ["--run-dir", "a", "--seed", "3"], []),

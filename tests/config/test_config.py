@@ -151,6 +151,9 @@ def test_a_bad_file_is_named(tmp_path, name, text, message):
     with pytest.raises(ConfigError, match=r"^[^\n]*$") as error:
         load(path)
     assert message in str(error.value)
+    (tmp_path / "hmasd.toml").touch()
+    with pytest.raises(ConfigError, match=r"No such file.* \(did you mean hmasd.toml\?\)$"):
+        load(tmp_path / "hmasd")
     with pytest.raises(ConfigError, match=r"cannot read config file .*none.toml: No such file"):
         load(tmp_path / "none.toml")
 

@@ -176,3 +176,13 @@ def test_local_states_of_overcooked_are_cell_orientation_item_and_pots():
     own = [*range(features.TO_ONIONS), features.SOUP_ONIONS]
     pots = [features.FIRST_POT + place * features.POT_FEATURES + pot for place in range(2)]
     assert list(chosen) == [*own, *np.concatenate(pots), *range(features.XY.start, 96)]
+
+
+def test_presets_are_found_from_any_folder(tmp_path, monkeypatch):
+    preset = load("configs/alice_and_bob/quick.toml")
+    monkeypatch.chdir(tmp_path)
+    assert load("configs/alice_and_bob/quick.toml") == preset
+    own = tmp_path / "configs" / "alice_and_bob" / "quick.toml"
+    own.parent.mkdir(parents=True)
+    own.write_text("seed = 5")
+    assert load("configs/alice_and_bob/quick.toml").seed == 5

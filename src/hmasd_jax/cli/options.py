@@ -29,7 +29,8 @@ class RunOptions(Options):
     """Files that a run reads and writes."""
 
     config: Path | None = None
-    """A .toml file, or the config.json of a run. The default is the paper's preset."""
+    """A .toml file, a preset of the library such as configs/alice_and_bob/quick.toml, or the
+    config.json of a run. The default is the paper's preset."""
     run_dir: Path | None = None
     """Folder to write. The default is a new folder under runs/, named after task and time."""
     resume: bool = False

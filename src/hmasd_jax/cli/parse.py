@@ -20,6 +20,9 @@ from hmasd_jax.config import RENAMED, ConfigError, TrainConfig, load
 from hmasd_jax.config.from_table import Flag, Text, from_table, list_names, show_name
 from hmasd_jax.runs.folder import read_config
 
+TRUTH = ("true", "false")
+"""Words that may follow a flag of a command, which is true without them."""
+
 OptionsT = TypeVar("OptionsT", bound=Options)
 
 
@@ -91,7 +94,7 @@ def _take_value(rest: deque[str], option: Any) -> Text:
         option: Type of the command's option, None for a setting. A setting takes all words up to
             the next name: several make a list.
     """
-    if option is bool or not rest or rest[0].startswith("--"):
+    if not rest or rest[0].startswith("--") or (option is bool and rest[0].lower() not in TRUTH):
         return Flag("true")
     values = [rest.popleft()]
     while option is None and rest and not rest[0].startswith("--"):

@@ -1,13 +1,10 @@
 """The preset that comes closest to a configuration, to tell what a run changed."""
 
 import tomllib
-from pathlib import Path
 from typing import Any
 
-from hmasd_jax.config.train_config import from_json, identity, to_json
+from hmasd_jax.config.train_config import ROOTS, from_json, identity, to_json
 
-FOLDERS = (Path(__file__).parents[1] / "configs", Path(__file__).parents[3] / "configs")
-"""Places of the presets: in an installed package, and in a checkout."""
 TASK = ("env.name", "env.scenario", "env.layout")
 """Settings that name a task."""
 
@@ -23,7 +20,7 @@ def find_preset(table: dict[str, Any]) -> tuple[str, dict[str, Any]] | None:
         if there is none for the task and algorithm.
     """
     wanted = identity(table)
-    for folder in FOLDERS:
+    for folder in (root / "configs" for root in ROOTS):
         for path in sorted(folder.rglob(f"{table['algorithm']['name']}.toml")):
             preset = to_json(from_json(tomllib.loads(path.read_text())))
             found = identity(preset)

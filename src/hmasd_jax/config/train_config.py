@@ -33,6 +33,8 @@ DEFAULT_NAMES = {"env": "alice_and_bob", "algorithm": "hmasd"}
 EXTENSIBLE = ("total_env_steps", "num_seeds", "placement")
 """Settings of `TrainConfig` that may change when a run is resumed; no trained number depends on
 them."""
+ROOTS = (Path(__file__).parents[1], Path(__file__).parents[3])
+"""Folders that have the presets in `configs/`: an installed package, and a checkout."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,8 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
     """Read a configuration.
 
     Args:
-        path: A .toml file, a run's config.json, or None for the defaults.
+        path: A .toml file, a run's config.json, or None for the defaults. `configs/TASK/NAME.toml`
+            is a preset of the library wherever the current folder has no such file.
         overrides: Values by dotted name, e.g. `{"algorithm.ppo.num_envs": 8}`. They win over the
             file. An `env.name` or `algorithm.name` that differs from the file's discards that
             table of the file.
@@ -123,7 +126,16 @@ def load(path: Path | str | None = None, overrides: Mapping[str, Any] | None = N
         ConfigError: The file cannot be read, a key or name is unknown, or a value has the wrong
             type or is out of range.
     """
-    return from_json(override(read_table(Path(path)) if path is not None else {}, overrides or {}))
+    table = read_table(_find_file(Path(path))) if path is not None else {}
+    return from_json(override(table, overrides or {}))
+
+
+def _find_file(path: Path) -> Path:
+    """Return a path, or that of the preset of the library which it names."""
+    if path.exists() or path.parts[:1] != ("configs",):
+        return path
+    presets = (root / path for root in ROOTS)
+    return next((preset for preset in presets if preset.exists()), path)
 
 
 def override(table: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
@@ -253,8 +265,9 @@ def read_table(path: Path) -> dict[str, Any]:
     try:
         table = parse(path.read_bytes())
     except FileNotFoundError as error:
-        others = sorted(other.stem for other in path.parent.glob(f"*{path.suffix}"))
-        hint = suggest(path.stem, others) if others else ""
+        endings = (".toml", ".json")
+        others = sorted(x.name for x in path.parent.glob("*") if x.suffix in endings)
+        hint = suggest(path.name, others) if others else ""
         raise ConfigError(f"cannot read config file {path}: {error.strerror}{hint}") from error
     except OSError as error:
         raise ConfigError(f"cannot read config file {path}: {error.strerror}") from error
