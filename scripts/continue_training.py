@@ -78,7 +78,7 @@ def main() -> None:
     """Read the arguments, go on, and write the record."""
     parser = checkpoint_parser(__doc__, "folder of a run", updates=100)
     parser.add_argument(
-        "--set", nargs="*", default=[], type=read_setting, metavar="NAME=VALUE",
+        "--set", nargs="*", action="extend", default=[], type=read_setting, metavar="NAME=VALUE",
         help="other settings",
     )  # fmt: skip
     parser.add_argument("--repetitions", type=int, default=4, help="times to do them")

@@ -14,30 +14,32 @@ from typing import Any
 
 from hmasd_jax.analysis.curves import read_curves
 from hmasd_jax.analysis.figures import Curve
-from hmasd_jax.runs.folder import seeds_of
+from hmasd_jax.runs.folder import RunError
 from scripts.records import describe_script, write_rows
 
-METRICS = ("exploration/stored_successes", "success")
+METRICS = ("exploration/stored_successes", "success", "team_reward")
 TENTH = 0.1
 
 
 def measure(run: Path) -> Iterator[dict[str, Any]]:
     """Yield a row per seed of a run."""
-    stored, won = (read_curves(run, "train", metric) for metric in METRICS)
+    stored, won, trained = (read_curves(run, "train", metric) for metric in METRICS)
     about = json.loads((run / "run.json").read_text())
-    for seed in seeds_of(run):
+    for seed in trained:
         yield {
             "command": " ".join(about["command"]),
             "commit": about["commit"],
             "seed": seed,
-            "first success": first_above(stored[seed], 0.0),
-            "a tenth": first_above(won[seed], TENTH),
-            "trained": int(won[seed][0][-1]),
+            "first success": first_above(stored.get(seed), 0.0),
+            "a tenth": first_above(won.get(seed), TENTH),
+            "trained": int(trained[seed][0][-1]),
         }
 
 
-def first_above(curve: Curve, level: float) -> int | None:
-    """Return the environment steps of the first value above `level`."""
+def first_above(curve: Curve | None, level: float) -> int | None:
+    """Return the environment steps of the first value above `level`, None without any."""
+    if curve is None:
+        return None
     env_steps, values = curve
     above = env_steps[values > level]
     return int(above[0]) if len(above) else None
@@ -50,7 +52,11 @@ def main() -> None:
     parser.add_argument("runs", type=Path, nargs="+", metavar="RUN", help="folder of a run")
     args = parser.parse_args()
     about = describe_script()
-    write_rows(args.out, about, [row for run in args.runs for row in measure(run)])
+    try:
+        rows = [row for run in args.runs for row in measure(run)]
+    except RunError as error:
+        parser.error(str(error))
+    write_rows(args.out, about, rows)
 
 
 if __name__ == "__main__":

@@ -86,7 +86,11 @@ def record_seeds(
         run_help: kind of run that the script reads.
         measure: function of the folder of a run and the index of a seed.
     """
-    args = run_and_out_parser(doc, run_help).parse_args()
+    parser = run_and_out_parser(doc, run_help)
+    args = parser.parse_args()
     about = describe_script(args.run)
-    rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
+    try:
+        rows = [measure(args.run, seed) for seed in run_folder.seeds_of(args.run)]
+    except run_folder.RunError as error:
+        parser.error(str(error))
     write_rows(args.out, about, rows)

@@ -23,7 +23,7 @@ from hmasd_jax.analysis.episodes import play
 from hmasd_jax.analysis.skills import Condition, allowed_skills
 from hmasd_jax.hmasd.discriminators import Classifier
 from hmasd_jax.rl import moments
-from hmasd_jax.runs.load import TrainedRun, load_run
+from hmasd_jax.runs.load import TrainedRun, check_skills, load_run
 from scripts.records import record_seeds
 
 EPISODES = 256
@@ -123,6 +123,7 @@ def classify(obs: np.ndarray, counted: np.ndarray, hidden_size: int, key: jax.Ar
 def measure(run: Path, seed: int) -> dict[str, Any]:
     """Return the accuracy for one seed."""
     trained = load_run(run, seed)
+    check_skills(trained)
     config = trained.config.algorithm
     key_play, key_learn = jax.random.split(jax.random.key(0))
     played = collect(trained, key_play)
