@@ -100,8 +100,8 @@ def test_labels_are_algorithms_only_if_they_differ(tmp_path):
     runs = [tmp_path / "a", tmp_path / "b"]
     for folder in runs:
         (folder / "seed_0").mkdir(parents=True)
-    assert plot.labels_of(runs, tables) == ["hmasd (1 seed)", "mappo (1 seed)"]
-    assert plot.labels_of(runs, [tables[0]] * 2) == ["a (1 seed)", "b (1 seed)"]
+    assert plot.labels_of(runs, tables, [[0], [0, 1]]) == ["hmasd (1 seed)", "mappo (2 seeds)"]
+    assert plot.labels_of(runs, [tables[0]] * 2, [[0], []]) == ["a (1 seed)", "b (0 seeds)"]
 
 
 def test_folders_of_one_name_are_told_apart_by_their_parents(tmp_path):
@@ -110,8 +110,8 @@ def test_folders_of_one_name_are_told_apart_by_their_parents(tmp_path):
         (folder / "seed_0").mkdir(parents=True)
     tables = [{"algorithm": {"name": "hmasd"}}] * 3
     labels = [f"{a}/{b}/trial_0 (1 seed)" for a, b in (("x", "one"), ("x", "two"), ("y", "two"))]
-    assert plot.labels_of(runs, tables) == labels
-    assert plot.labels_of([runs[0], runs[0]], tables[:2]) == ["trial_0 (1 seed)"] * 2
+    assert plot.labels_of(runs, tables, [[0]] * 3) == labels
+    assert plot.labels_of([runs[0], runs[0]], tables[:2], [[0]] * 2) == ["trial_0 (1 seed)"] * 2
 
 
 def test_runs_whose_names_begin_with_an_underscore_are_labeled_too(tmp_path):
