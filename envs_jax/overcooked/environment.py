@@ -84,8 +84,8 @@ class Overcooked:
 
     `obs` goes with the observation. With `features`, as in HMASD, it is the obs of both agents
     (192). With `lossless` it is the obs of player 0, whichever agent that is, followed by the
-    fraction of the time limit that has passed. `kitchen` is as in the module `kitchen_state`, 18
-    numbers and 5 per pot: it tells the pots apart.
+    fraction of the time limit that has passed. `kitchen` is as in the module `kitchen_state`, 19
+    numbers and 5 per pot: it tells the pots apart, and the seats.
     """
     random_seats: bool = True
     """If True, a coin toss at each reset decides which agent is which player, as in HMASD."""
@@ -209,7 +209,8 @@ class Overcooked:
 
     def _observe(self, state: OvercookedState) -> Float[Array, "agents obs"]:
         if self.observation == "features":
-            return features.observe(self.layout, *_by_agent(state), state.grid)
+            pose, held = (_reorder(x, state.swapped) for x in (state.pose, state.held))
+            return features.observe(self.layout, pose, held, state.grid)
         urgent = self.max_steps - state.time < lossless.URGENT_STEPS
         by_player = lossless.observe(self.kitchen, *state[:3], urgent)
         return _reorder(by_player, state.swapped)
@@ -218,7 +219,9 @@ class Overcooked:
         self, state: OvercookedState, obs: Float[Array, "agents obs"]
     ) -> Float[Array, " state"]:
         if self.state == "kitchen":
-            return kitchen_state.encode(self.layout, *_by_agent(state), state.grid)
+            return kitchen_state.encode(
+                self.layout, state.pose, state.held, state.grid, state.swapped
+            )
         if self.observation == "features":
             return obs.reshape(-1)
         by_player = _reorder(obs, state.swapped)
@@ -249,11 +252,6 @@ class Overcooked:
     def render(self, env_state: OvercookedState) -> np.ndarray:
         """Draw the kitchen, with agent 0 in blue and agent 1 in red on either seat."""
         return draw(self.kitchen, env_state)
-
-
-def _by_agent(state: OvercookedState) -> tuple[Int[Array, "2"], Int[Array, "2"]]:
-    """Return the pose and the item of each agent's cook."""
-    return _reorder(state.pose, state.swapped), _reorder(state.held, state.swapped)
 
 
 def _reorder(values: Shaped[Array, "2 *rest"], swapped: Bool[Array, ""]):

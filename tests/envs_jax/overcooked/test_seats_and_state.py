@@ -14,7 +14,7 @@ KEY = jax.random.key(0)
 
 @pytest.mark.parametrize(
     ("observation", "state", "agents_end"),
-    [("features", "obs", [96, 192]), ("lossless", "obs", [0, 0]), ("features", "kitchen", [9, 18])],
+    [("features", "obs", [96, 192]), ("lossless", "obs", [0, 0]), ("features", "kitchen", [0, 0])],
 )
 def test_swapped_seats_permute_agents_and_nothing_else(observation, state, agents_end):
     """`agents_end`: where the numbers of agent 0 and of agent 1 end in the state."""
@@ -27,7 +27,11 @@ def test_swapped_seats_permute_agents_and_nothing_else(observation, state, agent
     for actions in ((EAST, SOUTH), (WEST, INTERACT), (INTERACT, NORTH), (INTERACT, INTERACT)):
         np.testing.assert_array_equal(seen.obs, seen_swapped.obs[::-1])
         first, second, rest = np.split(seen.state, agents_end)
-        np.testing.assert_array_equal(np.r_[second, first, rest], seen_swapped.state)
+        expected = np.r_[second, first, rest]
+        if state == "kitchen":  # Its last number tells who sits where.
+            assert expected[-1] == 0
+            expected[-1] = 1
+        np.testing.assert_array_equal(expected, seen_swapped.state)
         plain, seen = step(KEY, plain, jnp.array(actions))
         swapped, seen_swapped = step(KEY, swapped, jnp.array(actions[::-1]))
     for name in ("pose", "held", "grid"):
@@ -38,7 +42,7 @@ def test_swapped_seats_permute_agents_and_nothing_else(observation, state, agent
 def test_the_state_of_the_kitchen_names_every_cook_and_pot(layout):
     env = Overcooked(layout, state="kitchen")
     kitchen = env.kitchen
-    assert env.state_dim == 18 + 5 * len(kitchen.pots)
+    assert env.state_dim == 19 + 5 * len(kitchen.pots)
     reset, step = jax.jit(env.reset), jax.jit(env.step)
     current, timestep = reset(KEY)
     rng, seen = np.random.default_rng(0), set()
@@ -50,10 +54,8 @@ def test_the_state_of_the_kitchen_names_every_cook_and_pot(layout):
             current = current._replace(grid=grid, held=jnp.array(rng.integers(0, 6, 2)))
         current, timestep = step(KEY, current, jnp.array(rng.integers(0, 6, 2)))
         assert timestep.state.shape == (env.state_dim,)
-        order = [1, 0] if current.swapped else [0, 1]
         expected = []
-        cooks = (np.asarray(x)[order] for x in (current.pose, current.held))
-        for pose, item in zip(*cooks, strict=True):
+        for pose, item in zip(np.asarray(current.pose), np.asarray(current.held), strict=True):
             turn = np.arange(4) == pose % 4
             hand = [item == ONION, item == DISH, item > SOUP]
             expected += [*turn, *hand, *kitchen.xy(int(pose) // 4)]
@@ -63,6 +65,7 @@ def test_the_state_of_the_kitchen_names_every_cook_and_pot(layout):
             flags = [onions == 3, 0 <= cooked < 20, cooked == 20]
             expected += [onions, *flags, 20 - cooked if 0 <= cooked < 20 else 0]
             seen.add(("pot", int(pot), flags.index(True) if any(flags) else None))
+        expected.append(current.swapped)
         np.testing.assert_array_equal(timestep.state, np.array(expected, np.float32))
     assert set(range(6)) <= seen
     assert {("pot", int(pot), flag) for pot in kitchen.pots for flag in (0, 1, 2)} <= seen
