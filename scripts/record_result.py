@@ -73,8 +73,10 @@ pays the step of a success, and counts an episode several times in a bin that wa
 is not balanced, actions gain no entropy, and the gain is 3 |
 | `_general_per_value` | the next form (e07735e): the bonus pays a step for every value that it \
 passes |
-| `_general_small_odds` | the form before today's (212fbf7): in Overcooked the bonus makes much of \
-small odds. Elsewhere it is today's |
+| `_general_small_odds` | the next form (212fbf7): in Overcooked the bonus makes much of small \
+odds. Elsewhere it is today's |
+| `_general_by_agent` | the form before today's (b58b511): in Overcooked the state names cooks by \
+agent and not by seat. Elsewhere it is today's |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |
@@ -89,9 +91,10 @@ To repeat a row, check out its commit and run its command. A loop over `--seed-i
 same seeds as `seed_sweep` with the other options of the loop.
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
-has changed since, or the command changes it. A table below names these settings. A row marked † is
-of before the last change of the exploration bonus. In Overcooked that is b58b511, which pays small
-odds as they are, and elsewhere 212fbf7, which pays a step once for each feature.
+has changed since, or the command changes it. A table below names these settings. A row marked † was
+recorded before the last change of what the exploration bonus pays for. In Overcooked that is
+9e46234, from which the state tells the seats apart, and elsewhere 212fbf7, which pays a step once
+for each feature.
 
 ## The paper's comparison
 

@@ -10,9 +10,9 @@ from scripts.records import ROOT
 
 PAID_ONCE = "2026-11-28T21:47"
 """Time of commit 212fbf7, from which the exploration bonus pays a step once for each feature."""
-SMALL_ODDS = "2026-11-29T06:16"
-"""Time of commit b58b511, from which it pays small odds as they are. They matter in kitchens only:
-elsewhere the unit of the bonus stays above the least one."""
+SEATS = "2026-11-29T08:30"
+"""Time of commit 9e46234, from which the state of a kitchen, whose features the bonus counts, tells
+the seats apart."""
 
 
 def preset_of(record: Mapping[str, Any]) -> Path:
@@ -43,12 +43,12 @@ def changed_settings(
 def pays_otherwise(record: Mapping[str, Any]) -> bool:
     """Return whether the exploration bonus of a record pays otherwise than today's.
 
-    No setting tells: two commits changed what the bonus does. The start of a run tells, since no
+    No setting tells: commits changed what the bonus pays for. The start of a run tells, since no
     run of an earlier commit has been recorded from then on.
     """
     bonus = record["config"]["algorithm"].get("frontier", {"coef": 0.0})
     is_kitchen = record["config"]["env"]["name"] == "overcooked"
-    return bonus["coef"] > 0.0 and record["started"] < (SMALL_ODDS if is_kitchen else PAID_ONCE)
+    return bonus["coef"] > 0.0 and record["started"] < (SEATS if is_kitchen else PAID_ONCE)
 
 
 def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:

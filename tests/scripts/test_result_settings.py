@@ -49,5 +49,5 @@ def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
     assert not pays_otherwise(_record("micro_battle/2s_vs_1sc/hmasd_general"))
     assert not pays_otherwise(_record("micro_battle/2s_vs_1sc/hmasd"))
     kitchen = _record("overcooked/cramped_room/hmasd_general")
-    assert pays_otherwise(kitchen | {"started": "2026-11-29T06:15:59+0000"})
-    assert not pays_otherwise(kitchen | {"started": "2026-11-29T06:16:00+0000"})
+    assert pays_otherwise(kitchen | {"started": "2026-11-29T08:29:59+0000"})
+    assert not pays_otherwise(kitchen | {"started": "2026-11-29T08:30:00+0000"})

@@ -220,7 +220,7 @@ def explore(
 def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
     """Return whether each step ends an episode that is solved.
 
-    `success` in `info` tells. Without it, a positive reward does that comes before the time limit.
+    `success` in `info` tells. Without it, a positive reward before the time limit does.
     """
     if "success" in outcome.info:
         return outcome.done & (outcome.info["success"] > 0)
