@@ -1,5 +1,7 @@
 """The command `grid`: a sweep for each combination of values of some settings."""
 
+import dataclasses
+
 from hmasd_jax.analysis.compare import are_one_task
 from hmasd_jax.cli import train_commands
 from hmasd_jax.cli.hints import suggest_next, write_command
@@ -17,7 +19,8 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     signal that stops a sweep also ends the grid, even if that sweep has just finished.
     """
     lines = {name_cell(cell): write_line(words, cell) for cell in options.cells}
-    configs = {name: load_config(*parse(SweepOptions, line[1:])) for name, line in lines.items()}
+    sweeps = {name: parse(SweepOptions, line[1:]) for name, line in lines.items()}
+    configs = {name: load_config(*sweep) for name, sweep in sweeps.items()}
     for cell_config in configs.values():
         build(cell_config)
     root = options.run_dir or train_commands.create_default_folder(config)
@@ -31,14 +34,10 @@ def grid(config: TrainConfig, options: GridOptions, words: list[str]) -> int:
     codes = []
     with stop_on_signal() as interrupted:
         for run, line in cells.items():
-            sweep = SweepOptions(
-                run_dir=run,
-                resume=run in started,
-                tensorboard=options.tensorboard,
-                wandb=options.wandb,
-            )
-            line = [*line, "--run-dir", str(run)]
-            codes.append(train_commands.seed_sweep(configs[run.name], sweep, line))
+            sweep, _ = sweeps[run.name]
+            sweep = dataclasses.replace(sweep, run_dir=run, resume=run in started)
+            whole_line = [*line, "--run-dir", str(run)]
+            codes.append(train_commands.seed_sweep(configs[run.name], sweep, whole_line))
             if codes[-1] == train_commands.INTERRUPTED or interrupted():
                 break
     if len(codes) < len(cells) or train_commands.INTERRUPTED in codes:
