@@ -22,8 +22,8 @@ as the whole health of an enemy, which is lost shot by shot.
 
 The sum over features is divided by the deviation of all bonuses so far, but by no less than 1, the
 odds against a value that half of the episodes reach. Where nearly all is mastered, a smaller unit
-would make much of small odds. Cooks who begin on either side of a kitchen reach a place in half of
-the episodes at most, and would tour their side to be paid for it.
+would make much of small odds. An agent that begins on one side of a wall or on the other reaches a
+place in half of the episodes at most, and would tour its side to be paid for it.
 
 The mean of the rollout is subtracted, so that an average step pays nothing. A bonus that is never
 negative pays for every step of life, and so for not fighting, and for not finishing.

@@ -1,8 +1,8 @@
 """Coefficients that change once the team solves its task, for any algorithm that explores.
 
 A task is solved as far as the episodes of all copies of the environment are. The frontier counts
-them. Each function returns a constant of Python where its setting leaves the
-coefficient as it is. A traced number would round the whole update differently.
+them. Each function returns a constant of Python where its setting leaves the coefficient as it is.
+A traced number would round the whole update differently.
 """
 
 import dataclasses
