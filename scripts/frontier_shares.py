@@ -1,10 +1,10 @@
-"""Record how large a share of the episodes of a run has reached each value of a feature.
+"""Record how large a share of the parts of episodes of a run has reached each value of a feature.
 
 python scripts/frontier_shares.py RUN FEATURE OUT
 
 RUN was trained with `algorithm.frontier`, FEATURE is an index into its global state. OUT (JSON)
 gets one row per seed, direction and bin: the deviation of all bonuses so far, the bin's ends, the
-largest share of episodes that has reached it so far, rising or falling, and the share over the last
+largest share of parts that has reached it so far, rising or falling, and the share over the last
 rollouts.
 """
 
@@ -24,8 +24,8 @@ def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]
     """Return a row per direction and bin of one feature of the state."""
     num_bins = frontier.reached.shape[-1]
     ends = np.linspace(float(frontier.low[feature]), float(frontier.high[feature]), num_bins + 1)
-    # Episodes under way have reached bins, and do not count as episodes yet.
-    recent = np.minimum(per_episode(frontier.reached[:, feature], frontier.episodes.sum()), 1.0)
+    # Parts under way have reached bins, and do not count yet.
+    recent = np.minimum(per_episode(frontier.reached[:, feature], frontier.parts.sum()), 1.0)
     largest = np.asarray(frontier.mastered[:, feature])
     return [
         {

@@ -13,7 +13,6 @@ from hmasd_jax.exploration.frontier import (
     FrontierConfig,
     explore,
     find_bins,
-    first_visits,
     is_success,
     make_frontier,
     odds_against,
@@ -59,31 +58,6 @@ def train(bonus, frontier, outcome, times=1):
 RISES, FALLS = 0, 1
 
 
-def visits(start, end, done, num_bins):
-    """Return `first_visits` of one feature in one copy."""
-    start, end, done = (jnp.array(x)[:, None] for x in (start, end, done))
-    none = jnp.zeros((1, 2, 1, num_bins), bool)
-    visited, is_first = first_visits(none, start[..., None], end[..., None], done)
-    return visited[0, :, 0], is_first[:, 0, :, 0]
-
-
-def test_only_the_first_visit_of_an_episode_counts():
-    start, end = [0, 1, 0, 1, 0], [1, 0, 1, 0, 1]
-    visited, is_first = visits(start, end, [False, False, False, True, False], 4)
-    assert_array_equal(is_first[:, RISES, 1], [True, False, False, False, True])
-    assert_array_equal(is_first[:, FALLS, 0], [False, True, False, False, False])
-    assert_array_equal(is_first.sum((0, 2)), [2, 1])
-    assert_array_equal(visited, [[0, 1, 0, 0], [0, 0, 0, 0]])
-
-
-def test_a_step_reaches_where_it_ends_and_all_that_it_passes():
-    _, is_first = visits([0, 0, 3, 3, 1], [0, 3, 1, 1, 0], [False] * 5, 5)
-    rising = [[0, 0, 0, 0, 0], [0, 1, 1, 1, 0], [0, 0, 0, 0, 0], [0] * 5, [0] * 5]
-    falling = [[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 1, 1, 0, 0], [0] * 5, [1, 0, 0, 0, 0]]
-    assert_array_equal(is_first[:, RISES], rising)
-    assert_array_equal(is_first[:, FALLS], falling)
-
-
 def test_a_step_passes_nothing_between_episodes_but_does_between_rollouts(bonus, empty):
     """From 4 to 0 by a reset; then from 0 to 4 at the first step of the next rollout."""
     outcome = rollout_of(*[[0.0, 4.0, 0.0]] * 4, done_at_end=False)
@@ -108,7 +82,7 @@ def test_an_episode_goes_on_in_the_next_rollout(bonus, empty):
 def test_the_share_counts_episodes_and_not_steps(empty):
     """One of four episodes reaches 4, and stays there."""
     outcome = rollout_of([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 4.0, 4.0])
-    frontier, _ = reach(empty._replace(episodes=jnp.zeros(NUM_ENVS)), outcome)
+    frontier, _ = reach(empty._replace(parts=jnp.zeros(NUM_ENVS)), outcome)
     assert_allclose(frontier.mastered[RISES, 0], [0.0, 0.25, 0.25, 0.25])
     assert_allclose(frontier.mastered[FALLS], 0.0)
 
@@ -119,6 +93,26 @@ def test_the_share_is_an_average_over_the_window(empty):
     assert_allclose(frontier.episodes.sum(), NUM_ENVS * 0.9 + 4)
     assert_allclose(frontier.reached[RISES, 0], [0, 4, 4, 4])
     assert_allclose(frontier.mastered[RISES, 0, 1], 4 / 7.6, rtol=1e-6)
+
+
+def test_a_long_episode_counts_as_several(empty):
+    """Two games of 4 steps reach 4 once, in one of their two parts; the others, in each part."""
+    outcome = rollout_of(*[[0.0, 4.0, 0.0, 0.0]] * 2, *[[0.0, 4.0, 0.0, 4.0]] * 2)
+    nothing = empty._replace(parts=jnp.zeros(NUM_ENVS), episodes=jnp.zeros(NUM_ENVS))
+    for period, share, parts in ((0, 1.0, 4), (2, 6 / 8, 8)):
+        frontier, _ = explore(nothing, outcome, dataclasses.replace(CONFIG, period=period))
+        assert_allclose(frontier.mastered[RISES, 0, 1], share)
+        assert (frontier.parts.sum(), frontier.episodes.sum()) == (parts, 4)
+
+
+def test_a_part_goes_on_in_the_next_rollout(empty):
+    """Of 3 steps, two lie in the first rollout."""
+    in_parts = dataclasses.replace(CONFIG, period=3)
+    frontier, _ = explore(empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False), in_parts)
+    rest = rollout_of(*[[0.0, 4.0, 0.0, 4.0]] * 4, done_at_end=False)
+    _, is_first = explore(frontier, rest, in_parts)
+    assert_array_equal(is_first[:, 0, FALLS, 0, 0], [True, False, True, False])
+    assert_array_equal(is_first[:, 0, RISES, 0, 3], [False, True, False, False])
 
 
 def test_worth_falls_from_the_largest_to_nothing():
@@ -272,7 +266,14 @@ def test_without_a_weight_there_is_no_bonus():
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("coef", -1), ("num_bins", 1), ("largest_worth", -1), ("window", 0), ("forgetting", -1)],
+    [
+        ("coef", -1),
+        ("num_bins", 1),
+        ("largest_worth", -1),
+        ("window", 0),
+        ("forgetting", -1),
+        ("period", -1),
+    ],
 )
 def test_settings_out_of_range_are_refused(field, value):
     with pytest.raises(ValueError, match=f"{field} must be .*, got {value}"):

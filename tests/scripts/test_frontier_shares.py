@@ -25,7 +25,7 @@ def test_shares_of_one_feature_by_direction_and_bin():
         low=jnp.array([0.0, -1.0]),
         high=jnp.array([4.0, 1.0]),
         reached=jnp.array([[[5.0, 0.0], [0.0, 2.0]], [[0.0, 0.0], [1.0, 0.0]]]),
-        episodes=jnp.array([4.0, 3.0, 3.0]),
+        parts=jnp.array([4.0, 3.0, 3.0]),
         mastered=jnp.array([[[1.0, 0.25], [0.0, 0.75]], [[0.0, 0.0], [0.5, 0.0]]]),
     )
     rows = [tuple(row.values()) for row in list_shares(frontier, 1)]

@@ -10,6 +10,9 @@ the prediction error of a network on them is dominated by features that always v
 first visits of an episode is the restriction of NovelD (Zhang et al., NeurIPS 2021). Without it,
 waiting in a rare state pays.
 
+A long episode counts as several, of `period` steps each. Counted whole, what a game of a kitchen
+reaches once is mastered, and a team that fills its second pot once a game never fills it again.
+
 A value that a share p of the episodes reaches is worth 1 / p - 1, the odds against it. Here p is
 the largest share so far, measured over recent rollouts: what the team has mastered pays nothing, so
 that only the frontier of what it can do is left. The share of the moment would pay for leaving the
@@ -44,12 +47,12 @@ Battles that are won by a sequence of right actions are lost by one that is draw
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, always_one
+from hmasd_jax.exploration.visits import first_visits, split_episodes
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
@@ -72,6 +75,8 @@ class FrontierConfig:
     """Rollouts over which the share of episodes is averaged, with exponential weights."""
     forgetting: float = 0.01
     """Part of the largest share that is forgotten per rollout."""
+    period: int = 0
+    """Steps after which an episode under way counts as another one. With 0 each counts once."""
     fade_entropy: bool = False
     """If True, weight the entropy of actions by the share of recent episodes that are unsolved."""
 
@@ -81,6 +86,7 @@ class FrontierConfig:
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
         check_range(self, "forgetting", low=0, high=1)
+        check_range(self, "period", low=0)
         if self.fade_entropy and self.coef == 0:
             raise ValueError(
                 "fade_entropy needs coef above 0: without the frontier no episodes are counted"
@@ -95,20 +101,24 @@ class Frontier(NamedTuple):
     high: Float[Array, " state"]
     """Largest value of each feature so far."""
     reached: Float[Array, "2 state bins"]
-    """Number of recent episodes that reached each bin, rising and falling."""
-    episodes: Float[Array, " E"]
-    """Number of recent episodes of each copy."""
+    """Number of recent parts of episodes that reached each bin, rising and falling."""
+    parts: Float[Array, " E"]
+    """Number of recent parts of episodes of each copy, of at most `period` steps."""
+    part_steps: Int[Array, " E"]
+    """Steps of the part under way."""
     mastered: Float[Array, "2 state bins"]
-    """Largest share of episodes so far that reached each bin, less what is forgotten.
+    """Largest share of parts so far that reached each bin, less what is forgotten.
 
-    A visit counts at once, and its episode when it ends. Where episodes are longer than rollouts,
-    the share of what is reached early reads too high: 5 % with episodes of two rollouts."""
+    A visit counts at once, and its part when it ends. Where parts are longer than rollouts, the
+    share of what is reached early reads too high: 5 % with parts of two rollouts."""
     visited: Bool[Array, "E 2 state bins"]
-    """Bins that the episode under way has reached, rising and falling."""
+    """Bins that the part under way has reached, rising and falling."""
     before: Float[Array, "E state"]
     """State before the next step."""
     begins: Bool[Array, " E"]
     """True if the next step is the first of an episode, so that `before` is of another one."""
+    episodes: Float[Array, " E"]
+    """Number of recent episodes of each copy."""
     successes: Float[Array, " E"]
     """Number of recent episodes of each copy that were solved."""
     returns: Float[Array, ""]
@@ -131,11 +141,13 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             low=jnp.full(env.state_dim, jnp.inf),
             high=jnp.full(env.state_dim, -jnp.inf),
             reached=jnp.zeros(bins),
-            episodes=jnp.ones(num_envs),
+            parts=jnp.ones(num_envs),
+            part_steps=jnp.zeros(num_envs, int),
             mastered=jnp.zeros(bins),
             visited=jnp.zeros((num_envs, *bins), bool),
             before=jnp.zeros((num_envs, env.state_dim)),
             begins=jnp.ones(num_envs, bool),
+            episodes=jnp.ones(num_envs),
             successes=jnp.zeros(num_envs),
             returns=jnp.float32(0),
             best_return=jnp.float32(1),
@@ -169,7 +181,7 @@ def unsolved(frontier: Frontier, copies: bool | Bool[Array, " E"] = True) -> Flo
 def per_episode(
     total: Float[Array, "*batch"], episodes: Float[Array, ""]
 ) -> Float[Array, "*batch"]:
-    """Return the mean over episodes, of which there may be none yet."""
+    """Return the mean over episodes or parts of them, of which there may be none yet."""
     return total / jnp.maximum(episodes, 1.0)
 
 
@@ -195,21 +207,24 @@ def explore(
     begins = jnp.concatenate([frontier.begins[None], outcome.done[:-1]])
     before = jnp.where(begins[..., None], states, before)
     ends = find_bins(frontier, before), find_bins(frontier, states)
-    visited, is_first = first_visits(frontier.visited, *ends, outcome.done)
+    part_steps, part_ends = split_episodes(frontier.part_steps, outcome.done, config.period)
+    visited, is_first = first_visits(frontier.visited, *ends, part_ends)
     keep = 1.0 - 1.0 / config.window
     reached = frontier.reached * keep + is_first.sum((0, 1))
+    parts = frontier.parts * keep + part_ends.sum(0)
     episodes = frontier.episodes * keep + outcome.done.sum(0)
-    total = episodes.sum()
     returns = frontier.returns * keep + outcome.reward.sum()
-    best_return = jnp.maximum(frontier.best_return, per_episode(returns, total))
-    share = jnp.minimum(per_episode(reached, total), 1.0)
+    best_return = jnp.maximum(frontier.best_return, per_episode(returns, episodes.sum()))
+    share = jnp.minimum(per_episode(reached, parts.sum()), 1.0)
     frontier = frontier._replace(
         reached=reached,
-        episodes=episodes,
+        parts=parts,
+        part_steps=part_steps,
         mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
         visited=visited,
         before=states[-1],
         begins=outcome.done[-1],
+        episodes=episodes,
         successes=frontier.successes * keep + is_success(outcome).sum(0),
         returns=returns,
         best_return=best_return,
@@ -225,28 +240,6 @@ def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
     if "success" in outcome.info:
         return outcome.done & (outcome.info["success"] > 0)
     return outcome.terminated & (outcome.reward > 0)
-
-
-def first_visits(
-    visited: Bool[Array, "E 2 state bins"],
-    start: Int[Array, "T E state"],
-    end: Int[Array, "T E state"],
-    done: Bool[Array, "T E"],
-) -> tuple[Bool[Array, "E 2 state bins"], Bool[Array, "T E 2 state bins"]]:
-    """Return the bins that episodes under way have reached, and those that each step adds.
-
-    A step from bin `start` to bin `end` reaches `end` and all between, rising or falling. A step
-    that stays in its bin reaches none.
-    """
-    bins = jnp.arange(visited.shape[-1])
-    start, end = start[..., None], end[..., None]
-    rising, falling = (start < bins) & (bins <= end), (end <= bins) & (bins < start)
-
-    def step(visited, x):
-        here, done = x
-        return (visited | here) & ~done[:, None, None, None], here & ~visited
-
-    return jax.lax.scan(step, visited, (jnp.stack([rising, falling], 2), done))
 
 
 def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
