@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hmasd_jax.config import from_json, identity, load, rename, to_json
+from hmasd_jax.config import TrainConfig, from_json, identity, load, rename, to_json
 from scripts.records import ROOT
 
 PAID_ONCE = "2026-11-28T21:47"
@@ -34,8 +34,8 @@ def changed_settings(
         record: record of a run.
         overrides: settings by dotted name that replace those of the preset.
     """
-    preset = to_json(load(preset_of(record), dict(overrides or {})))
-    recorded = to_json(from_json(_known(rename(record["config"]), preset)))
+    preset = load(preset_of(record), dict(overrides or {}))
+    recorded = from_json(_known(rename(record["config"]), to_json(preset)))
     old, new = _compared(recorded), _compared(preset)
     return {name: (old[name], new[name]) for name in new if old[name] != new[name]}
 
@@ -60,10 +60,12 @@ def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]
     }
 
 
-def _compared(table: dict[str, Any]) -> dict[str, Any]:
-    """Return by dotted name what is compared, with the state's format spelled out."""
-    settings = identity(table)
+def _compared(config: TrainConfig) -> dict[str, Any]:
+    """Return by dotted name what is compared, with what depends on other settings spelled out."""
+    settings = identity(to_json(config))
     del settings["seed"], settings["checkpoint_interval"]
     if settings["env.name"] == "micro_battle" and settings["env.state"] is None:
         settings["env.state"] = settings["env.observation"]
+    if settings.get("algorithm.frontier.period", 0) >= config.env.max_steps:
+        settings["algorithm.frontier.period"] = 0  # No episode is that long.
     return settings

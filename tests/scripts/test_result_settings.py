@@ -51,3 +51,11 @@ def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
     kitchen = _record("overcooked/cramped_room/hmasd_general")
     assert pays_otherwise(kitchen | {"started": "2026-11-29T08:29:59+0000"})
     assert not pays_otherwise(kitchen | {"started": "2026-11-29T08:30:00+0000"})
+
+
+def test_a_period_that_no_episode_exceeds_is_no_difference():
+    battle = _record("micro_battle/3m/hmasd_general")
+    assert "period" not in battle["config"]["algorithm"]["frontier"]
+    assert changed_settings(battle) == {}
+    kitchen = _record("overcooked/asymmetric_advantages/hmasd_general_by_agent")
+    assert changed_settings(kitchen)["algorithm.frontier.period"] == (0, 200)
