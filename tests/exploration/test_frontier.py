@@ -16,6 +16,7 @@ from hmasd_jax.exploration.frontier import (
     is_success,
     make_frontier,
     odds_against,
+    rise,
     unsolved,
     widen,
 )
@@ -222,6 +223,39 @@ def test_small_odds_are_not_paid_like_large_ones(bonus, empty):
     assert_allclose(reward[1], 0.5 * (jnp.array([1, 0, 0, 0]) - 1 / 8), rtol=1e-5)
 
 
+def test_the_bonus_fades_once_the_best_return_has_stopped_rising(empty):
+    """Over 10 rollouts nine tenths of what the usual return lacks remain, each time."""
+    patient = dataclasses.replace(CONFIG, patience=10, window=1)
+    outcome = rollout_of(*[[0.0, 4.0]] * 4)
+    frontier = empty._replace(episodes=jnp.zeros(NUM_ENVS))
+
+    def play(frontier, earned, times):
+        played = outcome._replace(reward=outcome.reward.at[1].set(earned))
+        for _ in range(times):
+            frontier, _ = explore(frontier, played, patient)
+        return frontier
+
+    assert rise(frontier) == 1
+    for earned, times, expected in ((0.5, 60, 1.0), (20.0, 28, 1.0), (20.0, 12, 20 * 0.9**40)):
+        frontier = play(frontier, earned, times)
+        assert_allclose(rise(frontier), expected, rtol=1e-4)
+    assert rise(play(frontier, 40.0, 10)) == 1
+
+
+def test_without_patience_the_bonus_does_not_fade(bonus, empty):
+    outcome = rollout_of([0.0, 4.0], *[[0.0, 0.0]] * 3)
+    earned = outcome._replace(reward=outcome.reward.at[1].set(20.0))
+    frontier, _ = train(bonus, empty, earned, times=60)
+    assert rise(frontier) == 1
+
+
+def test_the_bonus_is_paid_as_far_as_the_best_return_rises(bonus, empty):
+    outcome = rollout_of([0.0, 4.0], *[[0.0, 0.0]] * 3)
+    _, reward = train(bonus, empty, outcome)
+    _, less = train(bonus, empty._replace(usual_return=jnp.float32(0.98)), outcome)
+    assert_allclose(less, 0.4 * reward, rtol=1e-5)
+
+
 def test_what_was_mastered_pays_nothing_when_it_is_left(bonus, empty):
     wide = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 8.0))
     mastered, _ = train(bonus, wide, rollout_of(*[[0.0, 4.0]] * 4), times=60)
@@ -273,6 +307,7 @@ def test_without_a_weight_there_is_no_bonus():
         ("window", 0),
         ("forgetting", -1),
         ("period", -1),
+        ("patience", -1),
     ],
 )
 def test_settings_out_of_range_are_refused(field, value):

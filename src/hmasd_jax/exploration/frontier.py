@@ -38,7 +38,8 @@ wins would triple the unit of the bonus, which is the deviation of all bonuses s
 The bonus is multiplied by the chance that no episode of a batch is solved, one per copy of the
 environment. A team that has found out how to win learns from reward alone. Where no episode counts
 as solved, as in kitchens, a team that has found one way to earn goes on looking for others. So that
-earnings do not drown the bonus, it grows with the largest mean return of an episode so far.
+earnings do not drown the bonus, it grows with the largest mean return of an episode so far. It
+fades once that return has stopped rising. Otherwise a team would make detours for it for ever.
 
 The entropy of actions, which also explores, can be weighted by the share of unsolved episodes.
 Battles that are won by a sequence of right actions are lost by one that is drawn at random.
@@ -57,6 +58,9 @@ from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
 from hmasd_jax.validation import check_range, check_types
+
+LEAST_RISE = 0.05
+"""Part of the best return by which it must exceed the usual one for a full bonus."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +81,9 @@ class FrontierConfig:
     """Part of the largest share that is forgotten per rollout."""
     period: int = 0
     """Steps after which an episode under way counts as another one. With 0 each counts once."""
+    patience: int = 0
+    """Rollouts over which the best return becomes usual, so that the bonus fades. With 0 it does
+    not, and neither does it before the best return is above 1."""
     fade_entropy: bool = False
     """If True, weight the entropy of actions by the share of recent episodes that are unsolved."""
 
@@ -86,7 +93,7 @@ class FrontierConfig:
         check_range(self, "num_bins", low=2)
         check_range(self, "window", low=1)
         check_range(self, "forgetting", low=0, high=1)
-        check_range(self, "period", low=0)
+        check_range(self, "period", "patience", low=0)
         if self.fade_entropy and self.coef == 0:
             raise ValueError(
                 "fade_entropy needs coef above 0: without the frontier no episodes are counted"
@@ -125,6 +132,8 @@ class Frontier(NamedTuple):
     """Sum of the rewards of recent rollouts."""
     best_return: Float[Array, ""]
     """Largest mean return of an episode so far, at least 1."""
+    usual_return: Float[Array, ""]
+    """Running mean of `best_return` over `patience` rollouts; 0 until that is above 1."""
     bonuses: Moments
     """Moments of the bonuses so far, which give the bonus its unit."""
 
@@ -151,6 +160,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             successes=jnp.zeros(num_envs),
             returns=jnp.float32(0),
             best_return=jnp.float32(1),
+            usual_return=jnp.float32(0),
             bonuses=Moments.create(),
         )
 
@@ -163,9 +173,9 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         bonus = jnp.where(is_first, worth, 0.0).max(-1).sum((-2, -1))
         bonus = jnp.where(is_success(outcome), 0.0, bonus)
         seen = moments.update(frontier.bonuses, bonus)
-        all_fail = unsolved(frontier) ** num_envs
+        weight = config.coef * unsolved(frontier) ** num_envs * rise(frontier)
         unit = jnp.sqrt(jnp.maximum(seen.variance, 1.0)) / frontier.best_return
-        reward = all_fail * config.coef * (bonus - bonus.mean()) / unit
+        reward = weight * (bonus - bonus.mean()) / unit
         return frontier._replace(bonuses=seen), reward, {"frontier": bonus.mean()}
 
     entropy_weight = unsolved if config.fade_entropy else always_one
@@ -176,6 +186,12 @@ def unsolved(frontier: Frontier, copies: bool | Bool[Array, " E"] = True) -> Flo
     """Return the share of recent episodes that were not solved, in the copies that are marked."""
     successes, episodes = (x.sum(where=copies) for x in (frontier.successes, frontier.episodes))
     return 1.0 - per_episode(successes, episodes)
+
+
+def rise(frontier: Frontier) -> Float[Array, ""]:
+    """Return 1 while the best return rises. The value falls to 0 as that return becomes usual."""
+    excess = 1.0 - frontier.usual_return / frontier.best_return
+    return jnp.minimum(excess / LEAST_RISE, 1.0)
 
 
 def per_episode(
@@ -215,6 +231,7 @@ def explore(
     episodes = frontier.episodes * keep + outcome.done.sum(0)
     returns = frontier.returns * keep + outcome.reward.sum()
     best_return = jnp.maximum(frontier.best_return, per_episode(returns, episodes.sum()))
+    rate = jnp.where(best_return > 1, 1.0 / config.patience, 0.0) if config.patience else 0.0
     share = jnp.minimum(per_episode(reached, parts.sum()), 1.0)
     frontier = frontier._replace(
         reached=reached,
@@ -228,6 +245,7 @@ def explore(
         successes=frontier.successes * keep + is_success(outcome).sum(0),
         returns=returns,
         best_return=best_return,
+        usual_return=frontier.usual_return + rate * (best_return - frontier.usual_return),
     )
     return frontier, is_first
 
