@@ -53,9 +53,12 @@ def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
     assert not pays_otherwise(kitchen | {"started": "2026-11-29T08:30:00+0000"})
 
 
-def test_a_period_that_no_episode_exceeds_is_no_difference():
+def test_settings_without_an_effect_are_no_differences():
+    """No battle of 3m is as long as a period, and none returns more than 1."""
     battle = _record("micro_battle/3m/hmasd_general")
-    assert "period" not in battle["config"]["algorithm"]["frontier"]
+    assert not {"period", "patience"} & battle["config"]["algorithm"]["frontier"].keys()
     assert changed_settings(battle) == {}
     kitchen = _record("overcooked/asymmetric_advantages/hmasd_general_by_agent")
-    assert changed_settings(kitchen)["algorithm.frontier.period"] == (0, 200)
+    changed = changed_settings(kitchen)
+    assert changed["algorithm.frontier.period"] == (0, 200)
+    assert changed["algorithm.frontier.patience"] == (0, 100)
