@@ -11,7 +11,7 @@ first visits of an episode is the restriction of NovelD (Zhang et al., NeurIPS 2
 waiting in a rare state pays.
 
 A long episode counts as several, of `period` steps each. Counted whole, what a game of a kitchen
-reaches once is mastered, and a team that fills its second pot once a game never fills it again.
+reaches once is mastered, and nothing pays a team for filling its second pot twice a game.
 
 A value that a share p of the episodes reaches is worth 1 / p - 1, the odds against it. Here p is
 the largest share so far, measured over recent rollouts: what the team has mastered pays nothing, so

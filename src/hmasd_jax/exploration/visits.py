@@ -10,6 +10,11 @@ def split_episodes(
 ) -> tuple[Int[Array, " E"], Bool[Array, "T E"]]:
     """Split episodes into parts of at most `period` steps, from their beginning.
 
+    Args:
+        part_steps: steps of the parts that were under way before the rollout.
+        done: whether each step ends an episode.
+        period: most steps of a part. With 0 each episode is one part.
+
     Returns:
         Steps of the parts under way, and whether each step ends a part.
     """
