@@ -74,9 +74,11 @@ is not balanced, actions gain no entropy, and the gain is 3 |
 | `_general_per_value` | the next form (e07735e): the bonus pays a step for every value that it \
 passes |
 | `_general_small_odds` | the next form (212fbf7): in Overcooked the bonus makes much of small \
-odds. Elsewhere it is today's |
-| `_general_by_agent` | the form before today's (b58b511): in Overcooked the state names cooks by \
-agent and not by seat. Elsewhere it is today's |
+odds. Elsewhere it is the form `_general_whole` |
+| `_general_by_agent` | the next form (b58b511): in Overcooked the state names cooks by agent and \
+not by seat. Elsewhere it is the next |
+| `_general_whole` | the form before today's (9e46234): the bonus counts each episode once, \
+however long, and does not fade. For tasks with episodes of at most 200 steps it is today's |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |

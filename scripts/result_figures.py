@@ -23,7 +23,7 @@ EARLIER = (
 """Beginnings of the names of runs with earlier forms of the general preset."""
 PREVIOUS = (
     "hmasd_general_unsharpened", "hmasd_general_unmixed", "hmasd_general_per_value",
-    "hmasd_general_small_odds", "hmasd_general_by_agent",
+    "hmasd_general_small_odds", "hmasd_general_by_agent", "hmasd_general_whole",
 )  # fmt: skip
 """Beginnings of the names of runs with its last forms before today's."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")

@@ -107,7 +107,7 @@ def test_a_long_episode_counts_as_several(empty):
 
 
 def test_a_part_goes_on_in_the_next_rollout(empty):
-    """Of 3 steps, two lie in the first rollout."""
+    """Parts have 3 steps. The first rollout has two of them."""
     in_parts = dataclasses.replace(CONFIG, period=3)
     frontier, _ = explore(empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False), in_parts)
     rest = rollout_of(*[[0.0, 4.0, 0.0, 4.0]] * 4, done_at_end=False)
