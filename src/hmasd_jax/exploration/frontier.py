@@ -204,7 +204,7 @@ def per_episode(
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
 ) -> tuple[Frontier, Bool[Array, "T E 2 state bins"]]:
-    """Count the episodes of a rollout that reach each bin, those that are solved, and rewards.
+    """Count the parts of episodes that reach each bin, the solved episodes, and rewards.
 
     The first step of an episode reaches nothing: `outcome` does not hold the state that it is taken
     in.
@@ -212,10 +212,10 @@ def explore(
     Args:
         frontier: state before the rollout.
         outcome: (T, E), steps before any reset.
-        config: number of rollouts to average over, and what is forgotten per rollout.
+        config: all settings but the weight and the largest worth of the bonus.
 
     Returns:
-        The new state, and which bins each step reaches as the first of its episode.
+        The new state, and which bins each step reaches as the first of its part.
     """
     states = outcome.state
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
@@ -261,7 +261,7 @@ def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
 
 
 def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
-    """Return 1 / p - 1 for a share p of episodes, at most `largest`."""
+    """Return 1 / p - 1 for a share p of parts, at most `largest`."""
     return jnp.minimum(1.0 / jnp.maximum(share, 1e-9) - 1.0, largest)
 
 
@@ -269,8 +269,8 @@ def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " 
     """Widen the range of each feature to include `low` and `high`.
 
     What is known of an old bin moves to the new bin that holds its middle. Where several move to
-    one, the largest holds: an episode that reached two of them reached the new bin once. `visited`
-    keeps the old bins until its episodes end.
+    one, the largest holds: a part that reached two of them reached the new bin once. `visited`
+    keeps the old bins until its parts end.
     """
     wider = frontier._replace(
         low=jnp.minimum(frontier.low, low), high=jnp.maximum(frontier.high, high)
