@@ -252,6 +252,11 @@ def test_every_command_has_help(command, capsys):
     assert f"hmasd_jax.train {command}" in text
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_finds_its_function(command):
+    assert callable(COMMANDS[command].load())
+
+
 def test_without_a_command_the_commands_are_listed(capsys):
     assert main([]) == 2
     assert main(["--help"]) == 0
@@ -288,7 +293,7 @@ def test_too_little_memory_of_the_device_is_one_line(reason, monkeypatch, capsys
     def fail(*_):
         raise jax.errors.JaxRuntimeError(reason)
 
-    monkeypatch.setitem(COMMANDS, "plot", COMMANDS["plot"]._replace(load=lambda: fail))
+    monkeypatch.setattr("hmasd_jax.cli.inspect_commands.plot", fail)
     assert main(["plot", "run"]) == 1
     error = capsys.readouterr().err
     assert error.startswith(f"error: the device has too little memory: {reason.splitlines()[0]}; ")
@@ -300,7 +305,7 @@ def test_other_errors_of_the_device_are_shown_in_full(monkeypatch):
     def fail(*_):
         raise jax.errors.JaxRuntimeError("INTERNAL: something else")
 
-    monkeypatch.setitem(COMMANDS, "plot", COMMANDS["plot"]._replace(load=lambda: fail))
+    monkeypatch.setattr("hmasd_jax.cli.inspect_commands.plot", fail)
     with pytest.raises(jax.errors.JaxRuntimeError, match="something else"):
         main(["plot", "run"])
 

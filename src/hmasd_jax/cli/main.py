@@ -5,6 +5,7 @@ Nothing here imports JAX before it is known what to run.
 
 import importlib.util
 import os
+import pkgutil
 import sys
 from collections.abc import Callable
 from typing import NamedTuple
@@ -32,104 +33,54 @@ class Command(NamedTuple):
     summary: str
     options: type[Options]
     """Its options. Commands with `RunOptions` take settings, too."""
-    load: Callable[[], Callable[..., int]]
-    """Import the function that runs the command and returns the exit code.
+    function: str
+    """Function in `hmasd_jax.cli` that runs the command and returns the exit code.
 
     With `RunOptions` its arguments are the configuration, the options and the words of the command
     line; else the options only.
     """
 
-
-def _train() -> Callable[..., int]:
-    from hmasd_jax.cli.train_commands import train
-
-    return train
-
-
-def _seed_sweep() -> Callable[..., int]:
-    from hmasd_jax.cli.train_commands import seed_sweep
-
-    return seed_sweep
-
-
-def _grid() -> Callable[..., int]:
-    from hmasd_jax.cli.grid_command import grid
-
-    return grid
-
-
-def _tune() -> Callable[..., int]:
-    from hmasd_jax.cli.tune_command import tune
-
-    return tune
-
-
-def _evaluate() -> Callable[..., int]:
-    from hmasd_jax.cli.inspect_commands import evaluate_checkpoints
-
-    return evaluate_checkpoints
-
-
-def _render() -> Callable[..., int]:
-    from hmasd_jax.cli.inspect_commands import render
-
-    return render
-
-
-def _plot() -> Callable[..., int]:
-    from hmasd_jax.cli.inspect_commands import plot
-
-    return plot
-
-
-def _compare() -> Callable[..., int]:
-    from hmasd_jax.cli.inspect_commands import compare
-
-    return compare
-
-
-def _report() -> Callable[..., int]:
-    from hmasd_jax.cli.report_command import report
-
-    return report
+    def load(self) -> Callable[..., int]:
+        """Import the function, and with it what the command needs."""
+        return pkgutil.resolve_name(f"hmasd_jax.cli.{self.function}")
 
 
 COMMANDS = {
-    "train": Command("Train one seed.", TrainOptions, _train),
+    "train": Command("Train one seed.", TrainOptions, "train_commands:train"),
     "seed_sweep": Command(
         "Train several seeds of one experiment; without arguments, the paper's HMASD on "
         "Alice_and_Bob.",
         SweepOptions,
-        _seed_sweep,
+        "train_commands:seed_sweep",
     ),
     "grid": Command(
         "Train several seeds for each combination of values, e.g. --vary "
         "algorithm.num_skills=2,3,4,5.",
         GridOptions,
-        _grid,
+        "grid_command:grid",
     ),
     "tune": Command(
         "Search good values of settings with Optuna, e.g. --vary "
         "algorithm.low_entropy_coef=0.01:0.1:log.",
         TuneOptions,
-        _tune,
+        "tune_command:tune",
     ),
     "evaluate": Command(
         "Play episodes with a checkpoint of every seed of a run, by default the newest.",
         EvaluateOptions,
-        _evaluate,
+        "inspect_commands:evaluate_checkpoints",
     ),
-    "render": Command("Draw episodes as a GIF or MP4.", RenderOptions, _render),
-    "plot": Command("Plot learning curves of runs.", PlotOptions, _plot),
+    "render": Command("Draw episodes as a GIF or MP4.", RenderOptions, "inspect_commands:render"),
+    "plot": Command("Plot learning curves of runs.", PlotOptions, "inspect_commands:plot"),
     "compare": Command(
         "Compare runs on one task: curves, and statistics over seeds with intervals.",
         CompareOptions,
-        _compare,
+        "inspect_commands:compare",
     ),
     "report": Command(
         "Write one HTML page that shows what runs learned: curves, skills, and which matter.",
         ReportOptions,
-        _report,
+        "report_command:report",
     ),
 }
 
