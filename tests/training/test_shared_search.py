@@ -1,6 +1,7 @@
 """Processes that share a search, as `tune` starts them."""
 
 import os
+import re
 import signal
 
 import pytest
@@ -22,13 +23,19 @@ def test_two_processes_share_a_search_and_one_continues_what_the_other_left(star
         *("--vary", "algorithm.ppo.clip_epsilon=0.1:0.3", "--trials", "3", "--prune-after", "9"),
     ]
     one, two = (start("tune", folder, *more) for _ in range(2))
-    wait_until(lambda: latest(folder / "trial_0", 0) and latest(folder / "trial_1", 0), one)
+
+    def is_within_a_trial(process):
+        """Return whether the trial under way has a checkpoint, and more than half of it to go."""
+        trials = trials_of(process)
+        return bool(trials) and 0 < latest(folder / f"trial_{trials[-1]}", 0) < 4_000
+
+    wait_until(lambda: trials_of(two) and is_within_a_trial(one), one)
     os.killpg(one.pid, signal.SIGKILL)
-    text = one.output()
-    killed = next(number for number in (0, 1) if f"trial {number} of 3" in text)
+    one.wait(timeout=60)
+    killed = trials_of(one)[-1]
     text = two.output(timeout=120)
     assert two.returncode == 0, text
-    assert f"trial {killed} of 3" in text
+    assert killed in trials_of(two)
     assert "seed 0: resuming from env step" in text
     assert [trial.state.name for trial in read_search(folder).study.get_trials()] == [
         "COMPLETE"
@@ -40,3 +47,8 @@ def test_two_processes_share_a_search_and_one_continues_what_the_other_left(star
             if record["kind"] == "eval"
         ]
         assert steps == list(range(0, 8_001, 800))
+
+
+def trials_of(process):
+    """List the trials that a process has announced."""
+    return [int(number) for number in re.findall(r"trial (\d) of 3", process.log.read_text())]
