@@ -121,13 +121,15 @@ def test_worth_falls_from_the_largest_to_nothing():
     assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
 
 
-def test_a_step_is_paid_once_for_the_rarest_value_that_a_feature_reaches(bonus, empty):
+def test_a_feature_that_passes_several_values_is_paid_the_root_of_their_number(bonus, empty):
     """Three copies rise to 2, of which one goes on to 4, and the fourth rises to 4 at once."""
     outcome = rollout_of([0.0, 2.0, 4.0], [0.0, 4.0, 4.0], [0.0, 2.0, 2.0], [0.0, 2.0, 2.0])
     frontier, reward = train(bonus, empty, outcome)
     assert_allclose(frontier.mastered[RISES, 0, 1:], [4 / 7.6, 4 / 7.6, 2 / 7.6], rtol=1e-6)
     near, far = 7.6 / 4 - 1, 7.6 / 2 - 1
-    paid = jnp.array([[0, 0, 0, 0], [near, far, near, near], [far, 0, 0, 0]])
+    # The bins of 1 and 2 are near, and that of 4 is far.
+    two, three = 2 * near / 2**0.5, (2 * near + far) / 3**0.5
+    paid = jnp.array([[0, 0, 0, 0], [two, three, two, two], [far, 0, 0, 0]])
     assert_allclose(reward, 0.5 * (paid - paid.mean()) / paid.std(), rtol=1e-4)
 
 
@@ -136,7 +138,7 @@ def test_the_bonus_is_the_sum_over_features(bonus, empty):
     outcome = outcome_of(values)
     outcome = outcome._replace(terminated=outcome.terminated.at[-1].set(True))
     frontier, _ = train(bonus, empty, outcome)
-    assert_allclose(frontier.bonuses.mean, SIZE * (7.6 - 1) / 8, rtol=1e-5)
+    assert_allclose(frontier.bonuses.mean, SIZE * 3**0.5 * (7.6 - 1) / 8, rtol=1e-5)
 
 
 def test_the_bonus_fades_with_the_chance_that_no_copy_wins(bonus, empty):
@@ -157,7 +159,7 @@ def test_the_step_of_a_success_is_counted_but_not_paid(bonus, empty):
     assert_allclose(frontier.mastered[RISES, 0, 1:], 2 / 7.6, rtol=1e-6)
     assert_allclose(reward[1, 2], reward[1, 0])
     assert reward[1, 3] > 0 > reward[1, 2]
-    assert_allclose(frontier.bonuses.mean, (7.6 / 2 - 1) / 8, rtol=1e-5)
+    assert_allclose(frontier.bonuses.mean, 3**0.5 * (7.6 / 2 - 1) / 8, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("fade_entropy", "weight"), [(True, 0.25), (False, 1.0)])
@@ -215,10 +217,10 @@ def test_where_time_ends_every_episode_the_bonus_goes_on_in_units_of_the_best_re
 
 
 def test_small_odds_are_not_paid_like_large_ones(bonus, empty):
-    """One of four copies rises to 4, as half of the episodes did before."""
+    """One of four copies rises to 1, as half of the episodes did before."""
     known = empty._replace(low=jnp.zeros(SIZE), high=jnp.full(SIZE, 4.0))
     known = known._replace(mastered=jnp.full_like(known.mastered, 0.5))
-    _, reward = train(bonus, known, rollout_of([0.0, 4.0], *[[0.0, 0.0]] * 3))
+    _, reward = train(bonus, known, rollout_of([0.0, 1.0], *[[0.0, 0.0]] * 3))
     # The odds are 1. One step of eight is paid them, and the mean is subtracted.
     assert_allclose(reward[1], 0.5 * (jnp.array([1, 0, 0, 0]) - 1 / 8), rtol=1e-5)
 

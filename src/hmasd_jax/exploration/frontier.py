@@ -19,9 +19,10 @@ that only the frontier of what it can do is left. The share of the moment would 
 solution of a task to do what has become rare. The largest share is forgotten slowly, so that what
 the team has lost leads back to the frontier.
 
-A step pays each feature once, for the rarest of the values that it reaches. A feature with two
-values passes all between them at a time. Paid for each, the death of a unit would be worth as much
-as the whole health of an enemy, which is lost shot by shot.
+A feature that reaches n values in one step is paid the sum of what they are worth, divided by the
+root of n. A feature with two values passes all between them at a time. Paid in full, the death of a
+unit would be worth as much as the whole health of an enemy, which is lost shot by shot. Paid for
+the rarest value alone, to finish an enemy would be worth no more than a shot.
 
 The sum over features is divided by the deviation of all bonuses so far, but by no less than 1, the
 odds against a value that half of the episodes reach. Where nearly all is mastered, a smaller unit
@@ -169,9 +170,10 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         # The rollout counts too: without it, the first visits would be worth infinitely much.
         frontier, is_first = explore(frontier, outcome, config)
         worth = odds_against(frontier.mastered, config.largest_worth)
-        # Each feature pays a step once, for the rarest value that it reaches.
-        bonus = jnp.where(is_first, worth, 0.0).max(-1).sum((-2, -1))
-        bonus = jnp.where(is_success(outcome), 0.0, bonus)
+        # A feature that passes many values at a time is paid the root of their number for them.
+        number = jnp.maximum(is_first.sum(-1), 1)
+        bonus = jnp.where(is_first, worth, 0.0).sum(-1) / jnp.sqrt(number)
+        bonus = jnp.where(is_success(outcome), 0.0, bonus.sum((-2, -1)))
         seen = moments.update(frontier.bonuses, bonus)
         weight = config.coef * unsolved(frontier) ** num_envs * rise(frontier)
         unit = jnp.sqrt(jnp.maximum(seen.variance, 1.0)) / frontier.best_return
