@@ -77,8 +77,10 @@ passes |
 odds. Elsewhere it is the form `_general_whole` |
 | `_general_by_agent` | the next form (b58b511): in Overcooked the state names cooks by agent and \
 not by seat. Elsewhere it is the next |
-| `_general_whole` | the form before today's (9e46234): the bonus counts each episode once, \
-however long, and does not fade. For tasks with episodes of at most 200 steps it is today's |
+| `_general_whole` | the next form (9e46234): the bonus counts each episode once, however long, \
+and does not fade. For tasks with episodes of at most 200 steps it is the next |
+| `_general_rarest` | the form before today's (6f122d0): the bonus pays a feature for the rarest \
+of the values that it passes in a step, and not for the others |
 | `_robust` | a retired preset of ours with prior knowledge of the task |
 | `_again` | the preset of the row without it once more, at a later commit |
 | `_first` | earlier seeds of the row without it |
@@ -94,9 +96,7 @@ same seeds as `seed_sweep` with the other options of the loop.
 
 A row marked * has other settings than today's form of the preset that its command names: the preset
 has changed since, or the command changes it. A table below names these settings. A row marked † was
-recorded before the last change of what the exploration bonus pays for. In Overcooked that is
-9e46234, from which the state tells the seats apart, and elsewhere 212fbf7, which pays a step once
-for each feature.
+recorded before b7c915c, the last change of what the exploration bonus pays for.
 
 ## The paper's comparison
 

@@ -8,11 +8,9 @@ from typing import Any
 from hmasd_jax.config import TrainConfig, from_json, identity, load, rename, to_json
 from scripts.records import ROOT
 
-PAID_ONCE = "2026-11-28T21:47"
-"""Time of commit 212fbf7, from which the exploration bonus pays a step once for each feature."""
-SEATS = "2026-11-29T08:30"
-"""Time of commit 9e46234, from which the state of a kitchen, whose features the bonus counts, tells
-the seats apart."""
+ROOT_OF_NUMBER = "2026-11-29T23:32"
+"""Time of commit b7c915c, from which the exploration bonus pays a feature for all values that it
+passes, divided by the root of their number."""
 
 
 def preset_of(record: Mapping[str, Any]) -> Path:
@@ -43,12 +41,11 @@ def changed_settings(
 def pays_otherwise(record: Mapping[str, Any]) -> bool:
     """Return whether the exploration bonus of a record pays otherwise than today's.
 
-    No setting tells: commits changed what the bonus pays for. The start of a run tells, since no
-    run of an earlier commit has been recorded from then on.
+    No setting tells: a commit changed what the bonus pays for. The start of a run tells, since no
+    result of an earlier commit has been recorded from then on.
     """
     bonus = record["config"]["algorithm"].get("frontier", {"coef": 0.0})
-    is_kitchen = record["config"]["env"]["name"] == "overcooked"
-    return bonus["coef"] > 0.0 and record["started"] < (SEATS if is_kitchen else PAID_ONCE)
+    return bonus["coef"] > 0.0 and record["started"] < ROOT_OF_NUMBER
 
 
 def _known(table: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
