@@ -52,7 +52,7 @@ def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
 
 def test_settings_without_an_effect_are_no_differences():
     """No battle of 3m is as long as a period, and none returns more than 1."""
-    battle = _record("micro_battle/3m/hmasd_general")
+    battle = _record("micro_battle/3m/hmasd_general_rarest")
     assert not {"period", "patience"} & battle["config"]["algorithm"]["frontier"].keys()
     assert changed_settings(battle) == {}
     kitchen = _record("overcooked/asymmetric_advantages/hmasd_general_by_agent")
