@@ -121,7 +121,7 @@ def test_worth_falls_from_the_largest_to_nothing():
     assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
 
 
-def test_a_feature_that_passes_several_values_is_paid_the_root_of_their_number(bonus, empty):
+def test_a_feature_is_paid_for_all_its_values_over_the_root_of_their_number(bonus, empty):
     """Three copies rise to 2, of which one goes on to 4, and the fourth rises to 4 at once."""
     outcome = rollout_of([0.0, 2.0, 4.0], [0.0, 4.0, 4.0], [0.0, 2.0, 2.0], [0.0, 2.0, 2.0])
     frontier, reward = train(bonus, empty, outcome)

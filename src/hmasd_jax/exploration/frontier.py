@@ -170,7 +170,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
         # The rollout counts too: without it, the first visits would be worth infinitely much.
         frontier, is_first = explore(frontier, outcome, config)
         worth = odds_against(frontier.mastered, config.largest_worth)
-        # A feature that passes many values at a time is paid the root of their number for them.
+        # A feature that reaches n values in a step is paid their worth over the root of n.
         number = jnp.maximum(is_first.sum(-1), 1)
         bonus = jnp.where(is_first, worth, 0.0).sum(-1) / jnp.sqrt(number)
         bonus = jnp.where(is_success(outcome), 0.0, bonus.sum((-2, -1)))
