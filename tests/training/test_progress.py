@@ -14,11 +14,11 @@ METRICS = {
 }
 
 
-def show(events, terminal):
-    """Return the output of a display of seeds 0 and 1 with 1000 env steps each."""
+def show(events, terminal, seeds=(0, 1)):
+    """Return the output of a display of these seeds with 1000 env steps each."""
     file = io.StringIO()
     console = Console(file=file, force_terminal=terminal, width=200)
-    with Display(console, [0, 1], 1000) as display:
+    with Display(console, list(seeds), 1000) as display:
         for event in events:
             display.handle(event)
     return file.getvalue()
@@ -54,6 +54,13 @@ def test_a_terminal_gets_bars():
     text = show(EVENTS, terminal=True)
     assert "\x1b" in text
     assert "training success 25%  H(Z) 0.69  H(z) 1.39  q_D 50%  q_d 75%" in text
+
+
+def test_one_seed_is_described_once():
+    assert "all seeds 40 env steps/s" in show(EVENTS, terminal=False)
+    assert show(EVENTS, terminal=False, seeds=[0]).count("ETA") == 1
+    assert "all " in show(EVENTS, terminal=True)
+    assert "all " not in show(EVENTS, terminal=True, seeds=[0])
 
 
 def test_lines_are_rare():

@@ -67,7 +67,11 @@ class Display:
             TextColumn("{task.fields[text]}"),
         )
         self._progress = Progress(*columns, console=console, disable=not self._live)
-        self._all = self._progress.add_task("all", total=total_env_steps * len(seeds), text="")
+        # Of one seed it would repeat what the seed's own bar says.
+        self._show_all = len(seeds) > 1
+        self._all = self._progress.add_task(
+            "all", total=total_env_steps * len(seeds), text="", visible=self._show_all
+        )
 
     def __enter__(self) -> "Display":
         """Start the live display."""
@@ -130,7 +134,7 @@ class Display:
         if not self._live and (event.kind == "eval" or due):
             self._last_line = time.monotonic()
             text = f"seed {event.seed}: {track.env_steps:,} env steps, {self._describe(track)}"
-            everyone = self._describe_all()
+            everyone = self._describe_all() if self._show_all else ""
             self._print(text + f"; all seeds {everyone}" * bool(everyone))
 
     def _end(self, event: Event, track: Track) -> None:
