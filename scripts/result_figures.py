@@ -11,7 +11,8 @@ from scripts.records import RESULTS
 SKILLS = ("skill_interval", "num_team_skills", "num_skills")
 """Settings that the paper's Fig. 10 varies; runs are named after them."""
 TOGETHER = (
-    "presets", "compared", "general", "previous", "earlier", "retired", "ablations", *SKILLS,
+    "presets", "compared", "general", "previous", "earlier", "earlier_mappo", "retired",
+    "ablations", *SKILLS,
 )  # fmt: skip
 """Names of the images that show several runs."""
 RETIRED = ("hmasd_robust", "hmasd_lambda", "hmasd_terminal")
@@ -26,6 +27,8 @@ PREVIOUS = (
     "hmasd_general_small_odds", "hmasd_general_by_agent", "hmasd_general_whole",
 )  # fmt: skip
 """Beginnings of the names of runs with its last forms before today's."""
+EARLIER_MAPPO = ("mappo_general_",)
+"""Beginnings of the names of runs with earlier forms of MAPPO's general preset."""
 GENERAL = ("hmasd_general_", "mappo_general", "hmasd_cpu")
 """Beginnings of the names of other runs with presets in use, beside `hmasd_general` and `hmasd`."""
 PRESETS = ("hmasd", "mappo", "hmasd_general", "mappo_general")
@@ -46,13 +49,16 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
         return found
 
     retired, earlier, previous = take(*RETIRED), take(*EARLIER), take(*PREVIOUS)
-    general, ablations = take(*GENERAL), take("no")
+    earlier_mappo, general, ablations = take(*EARLIER_MAPPO), take(*GENERAL), take("no")
     skills = [take(f"hmasd_{setting}") for setting in SKILLS]
     full = [path for path in rest if path.stem == "hmasd"]
     ours = [path for path in rest if path.stem == "hmasd_general"]
+    mappo = [path for path in general if path.stem == "mappo_general"]
     systems = [path for path in rest if path not in full]
-    beside = ([], full, full + ours, ours, ours, *[full] * len(TOGETHER[5:]))
-    groups = (presets, systems, general, previous, earlier, retired, ablations, *skills)
+    beside = ([], full, full + ours, ours, ours, mappo, *[full] * len(TOGETHER[6:]))
+    groups = (
+        presets, systems, general, previous, earlier, earlier_mappo, retired, ablations, *skills,
+    )  # fmt: skip
     return {name: base + group for name, base, group in zip(TOGETHER, beside, groups) if group}
 
 

@@ -40,7 +40,7 @@ def test_retired_presets_ablations_and_other_skills_have_images_of_their_own():
 def test_other_seeds_of_a_preset_are_shown_beside_it():
     names = (
         "hmasd", "hmasd_general", "hmasd_general_again", "hmasd_general_before",
-        "hmasd_general_unmixed", "mappo", "mappo_general",
+        "hmasd_general_unmixed", "mappo", "mappo_general", "mappo_general_before",
     )  # fmt: skip
     shown = result_figures.shown([Path(f"{name}.json") for name in names])
     assert {name: [path.stem for path in paths] for name, paths in shown.items()} == {
@@ -49,4 +49,5 @@ def test_other_seeds_of_a_preset_are_shown_beside_it():
         "general": ["hmasd", "hmasd_general", "hmasd_general_again", "mappo_general"],
         "previous": ["hmasd_general", "hmasd_general_unmixed"],
         "earlier": ["hmasd_general", "hmasd_general_before"],
+        "earlier_mappo": ["mappo_general", "mappo_general_before"],
     }
