@@ -40,8 +40,9 @@ STYLES = ("hmasd", "hmasd_general", "mappo", "mat", "maser", "eiti", "edti")
 def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     """Return the files that each image shows, beside those of the presets in use."""
     rest = list(files)
-    presets = [path for name in PRESETS for path in rest if path.stem == name]
-    presets = presets if len(presets) == len(PRESETS) else []
+
+    def named(*names: str) -> list[Path]:
+        return [path for name in names for path in files if path.stem == name]
 
     def take(*beginnings: str) -> list[Path]:
         found = [path for path in rest if path.stem.startswith(beginnings)]
@@ -51,9 +52,9 @@ def shown(files: Sequence[Path]) -> dict[str, list[Path]]:
     retired, earlier, previous = take(*RETIRED), take(*EARLIER), take(*PREVIOUS)
     earlier_mappo, general, ablations = take(*EARLIER_MAPPO), take(*GENERAL), take("no")
     skills = [take(f"hmasd_{setting}") for setting in SKILLS]
-    full = [path for path in rest if path.stem == "hmasd"]
-    ours = [path for path in rest if path.stem == "hmasd_general"]
-    mappo = [path for path in general if path.stem == "mappo_general"]
+    full, ours, mappo = named("hmasd"), named("hmasd_general"), named("mappo_general")
+    presets = named(*PRESETS)
+    presets = presets if len(presets) == len(PRESETS) else []
     systems = [path for path in rest if path not in full]
     beside = ([], full, full + ours, ours, ours, mappo, *[full] * len(TOGETHER[6:]))
     groups = (

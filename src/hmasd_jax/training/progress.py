@@ -68,9 +68,8 @@ class Display:
         )
         self._progress = Progress(*columns, console=console, disable=not self._live)
         # Of one seed it would repeat what the seed's own bar says.
-        self._show_all = len(seeds) > 1
         self._all = self._progress.add_task(
-            "all", total=total_env_steps * len(seeds), text="", visible=self._show_all
+            "all", total=total_env_steps * len(seeds), text="", visible=len(seeds) > 1
         )
 
     def __enter__(self) -> "Display":
@@ -134,7 +133,7 @@ class Display:
         if not self._live and (event.kind == "eval" or due):
             self._last_line = time.monotonic()
             text = f"seed {event.seed}: {track.env_steps:,} env steps, {self._describe(track)}"
-            everyone = self._describe_all() if self._show_all else ""
+            everyone = self._describe_all()
             self._print(text + f"; all seeds {everyone}" * bool(everyone))
 
     def _end(self, event: Event, track: Track) -> None:
@@ -168,10 +167,10 @@ class Display:
         return "  ".join(parts)
 
     def _describe_all(self) -> str:
-        """Return speed and remaining time of all seeds as text."""
+        """Return speed and remaining time of all seeds as text, or none if there is one seed."""
         running = [t for t in self._tracks.values() if not t.ended]
         rate = sum(t.rate for t in running)
-        if not rate:
+        if not rate or len(self._tracks) == 1:
             return ""
         remaining = sum(self._total - t.env_steps for t in running) / rate
         return f"{rate:,.0f} env steps/s  ETA {clock(remaining)}"
