@@ -10,16 +10,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 import envs_jax
 from hmasd_jax.exploration.bonus import NO_BONUS
 from hmasd_jax.exploration.frontier import (
-    FrontierConfig,
     explore,
     find_bins,
     is_success,
     make_frontier,
-    odds_against,
     rise,
     unsolved,
     widen,
 )
+from hmasd_jax.exploration.frontier_config import FrontierConfig
+from hmasd_jax.exploration.visits import odds_against
 from tests.helpers.rollouts import outcome_of
 
 ENV = envs_jax.make("probe_match_cue")
@@ -28,7 +28,7 @@ NUM_ENVS = 4
 CONFIG = FrontierConfig(coef=0.5, num_bins=4, window=10, forgetting=0.0)
 
 
-reach = jax.jit(lambda frontier, outcome: explore(frontier, outcome, CONFIG))
+reach = jax.jit(lambda frontier, outcome: explore(frontier, outcome, CONFIG)[:2])
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_a_long_episode_counts_as_several(empty):
     outcome = rollout_of(*[[0.0, 4.0, 0.0, 0.0]] * 2, *[[0.0, 4.0, 0.0, 4.0]] * 2)
     nothing = empty._replace(parts=jnp.zeros(NUM_ENVS), episodes=jnp.zeros(NUM_ENVS))
     for period, share, parts in ((0, 1.0, 4), (2, 6 / 8, 8)):
-        frontier, _ = explore(nothing, outcome, dataclasses.replace(CONFIG, period=period))
+        frontier, *_ = explore(nothing, outcome, dataclasses.replace(CONFIG, period=period))
         assert_allclose(frontier.mastered[RISES, 0, 1], share)
         assert (frontier.parts.sum(), frontier.episodes.sum()) == (parts, 4)
 
@@ -109,9 +109,9 @@ def test_a_long_episode_counts_as_several(empty):
 def test_a_part_goes_on_in_the_next_rollout(empty):
     """Parts have 3 steps. The first rollout has two of them."""
     in_parts = dataclasses.replace(CONFIG, period=3)
-    frontier, _ = explore(empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False), in_parts)
+    frontier, *_ = explore(empty, rollout_of(*[[0.0, 4.0]] * 4, done_at_end=False), in_parts)
     rest = rollout_of(*[[0.0, 4.0, 0.0, 4.0]] * 4, done_at_end=False)
-    _, is_first = explore(frontier, rest, in_parts)
+    _, is_first, _ = explore(frontier, rest, in_parts)
     assert_array_equal(is_first[:, 0, FALLS, 0, 0], [True, False, True, False])
     assert_array_equal(is_first[:, 0, RISES, 0, 3], [False, True, False, False])
 
@@ -234,7 +234,7 @@ def test_the_bonus_fades_once_the_best_return_has_stopped_rising(empty):
     def play(frontier, earned, times):
         played = outcome._replace(reward=outcome.reward.at[1].set(earned))
         for _ in range(times):
-            frontier, _ = explore(frontier, played, patient)
+            frontier, *_ = explore(frontier, played, patient)
         return frontier
 
     assert rise(frontier) == 1
@@ -273,7 +273,7 @@ def test_what_was_mastered_and_lost_pays_again_later(empty):
     forgetful = dataclasses.replace(CONFIG, window=1, forgetting=0.1)
     shares = []
     for values in ([0.0, 4.0], [0.0, 0.0], [0.0, 0.0]):
-        empty, _ = explore(empty, rollout_of(*[values] * 4), forgetful)
+        empty, *_ = explore(empty, rollout_of(*[values] * 4), forgetful)
         shares.append(empty.mastered[RISES, 0, 3])
     assert_allclose(shares, [1, 0.9, 0.81], rtol=1e-6)
 
@@ -293,7 +293,7 @@ def test_a_wider_range_moves_what_is_known_to_the_bin_of_the_old_middle(empty):
     for direction in (RISES, FALLS):
         assert_allclose(wider.reached[direction, 0], [2, 2, 0, 0])
         assert_allclose(wider.mastered[direction, 0], [0.5, 0.125, 0, 0])
-    assert_array_equal(find_bins(wider, jnp.full(SIZE, 3.9)), 1)
+    assert_array_equal(find_bins(wider, jnp.full(SIZE, 3.9), CONFIG.num_bins), 1)
 
 
 def test_without_a_weight_there_is_no_bonus():

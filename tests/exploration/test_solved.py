@@ -12,7 +12,7 @@ import envs_jax
 from hmasd_jax.baselines.mappo import MAPPOConfig
 from hmasd_jax.baselines.mappo import algorithm as mappo
 from hmasd_jax.exploration.bonus import NO_BONUS
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.solved import SolvedConfig, actions_entropy_coef, step_factor
 from hmasd_jax.exploration.successes import NO_IMITATION, ImitationConfig
 from hmasd_jax.rl.ppo import PPOConfig

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.algorithm import make_hmasd

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.successes import NO_IMITATION, ImitationConfig
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.coefficients import (

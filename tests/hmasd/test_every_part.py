@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from envs_jax.alice_and_bob import AliceAndBob
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd import algorithm
 from hmasd_jax.hmasd.batches import skill_steps

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hmasd_jax.exploration.bonus import NO_BONUS
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.successes import ImitationConfig
 from hmasd_jax.hmasd.ablations import make_coordinator
 from hmasd_jax.hmasd.coefficients import random_share

@@ -3,7 +3,8 @@ import jax.numpy as jnp
 
 import envs_jax
 from hmasd_jax.exploration.bonus import add
-from hmasd_jax.exploration.frontier import Frontier, FrontierConfig, make_frontier
+from hmasd_jax.exploration.frontier import Frontier, make_frontier
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from scripts.frontier_shares import find_frontier, list_shares
 

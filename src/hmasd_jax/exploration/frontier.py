@@ -42,63 +42,38 @@ as solved, as in kitchens, a team that has found one way to earn goes on looking
 earnings do not drown the bonus, it grows with the largest mean return of an episode so far. It
 fades once that return has stopped rising. Otherwise a team would make detours for it for ever.
 
+Pairs of features can be paid, too (`exploration.pairs`), once an episode earns more than one
+reward. Single features show a team how to earn one, and a team that earns slowly may have mastered
+them all.
+
 The entropy of actions, which also explores, can be weighted by the share of unsolved episodes.
 Battles that are won by a sequence of right actions are lost by one that is drawn at random.
 """
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import NO_BONUS, Bonus, always_one
-from hmasd_jax.exploration.visits import first_visits, split_episodes
+from hmasd_jax.exploration.frontier_config import FrontierConfig
+from hmasd_jax.exploration.pairs import BINS, find_cells, init_pairs, visit_pairs
+from hmasd_jax.exploration.visits import (
+    first_visits,
+    largest_share,
+    mean_of,
+    odds_against,
+    pay,
+    split_episodes,
+)
 from hmasd_jax.rl import moments
 from hmasd_jax.rl.moments import Moments
 from hmasd_jax.types import Key
-from hmasd_jax.validation import check_range, check_types
 
 LEAST_RISE = 0.05
 """Part of the best return by which it must exceed the usual one for a full bonus."""
-
-
-@dataclass(frozen=True)
-class FrontierConfig:
-    """Settings of the bonus."""
-
-    coef: float = 0.0
-    """Weight of the bonus in the reward, for a bonus in standard deviations of all bonuses so far,
-    at least 1, times the largest mean return of an episode so far, at least 1. With 0 there is
-    none."""
-    num_bins: int = 20
-    """Bins per feature, between the smallest and the largest value so far."""
-    largest_worth: float = 100.0
-    """Most that one value is worth. It keeps accidents from outweighing everything else."""
-    window: int = 20
-    """Rollouts over which the share of episodes is averaged, with exponential weights."""
-    forgetting: float = 0.01
-    """Part of the largest share that is forgotten per rollout."""
-    period: int = 0
-    """Steps after which an episode under way counts as another one. With 0 each counts once."""
-    patience: int = 0
-    """Rollouts over which the best return becomes usual, so that the bonus fades. With 0 it does
-    not, and neither does it before the best return is above 1."""
-    fade_entropy: bool = False
-    """If True, weight the entropy of actions by the share of recent episodes that are unsolved."""
-
-    def __post_init__(self) -> None:
-        check_types(self)
-        check_range(self, "coef", "largest_worth", low=0)
-        check_range(self, "num_bins", low=2)
-        check_range(self, "window", low=1)
-        check_range(self, "forgetting", low=0, high=1)
-        check_range(self, "period", "patience", low=0)
-        if self.fade_entropy and self.coef == 0:
-            raise ValueError(
-                "fade_entropy needs coef above 0: without the frontier no episodes are counted"
-            )
 
 
 class Frontier(NamedTuple):
@@ -137,6 +112,8 @@ class Frontier(NamedTuple):
     """Running mean of `best_return` over `patience` rollouts; 0 until that is above 1."""
     bonuses: Moments
     """Moments of the bonuses so far, which give the bonus its unit."""
+    pairs: Any = ()
+    """Visits to pairs of features, where they are paid."""
 
 
 def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bonus:
@@ -163,17 +140,18 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
             best_return=jnp.float32(1),
             usual_return=jnp.float32(0),
             bonuses=Moments.create(),
+            pairs=init_pairs(env.state_dim, num_envs) if config.pair_coef else (),
         )
 
     def update(frontier: Frontier, outcome: TimeStep, key: Key):
         del key
         # The rollout counts too: without it, the first visits would be worth infinitely much.
-        frontier, is_first = explore(frontier, outcome, config)
-        worth = odds_against(frontier.mastered, config.largest_worth)
-        # A feature that reaches n values in a step is paid their worth over the root of n.
-        number = jnp.maximum(is_first.sum(-1), 1)
-        bonus = jnp.where(is_first, worth, 0.0).sum(-1) / jnp.sqrt(number)
-        bonus = jnp.where(is_success(outcome), 0.0, bonus.sum((-2, -1)))
+        frontier, is_first, part_ends = explore(frontier, outcome, config)
+        bonus = pay(is_first, odds_against(frontier.mastered, config.largest_worth)).sum((-2, -1))
+        if config.pair_coef:
+            frontier, pair_bonus = explore_pairs(frontier, outcome.state, part_ends, config)
+            bonus = bonus + config.pair_coef * pair_bonus
+        bonus = jnp.where(is_success(outcome), 0.0, bonus)
         seen = moments.update(frontier.bonuses, bonus)
         weight = config.coef * unsolved(frontier) ** num_envs * rise(frontier)
         unit = jnp.sqrt(jnp.maximum(seen.variance, 1.0)) / frontier.best_return
@@ -187,7 +165,7 @@ def make_frontier(env: Environment, config: FrontierConfig, num_envs: int) -> Bo
 def unsolved(frontier: Frontier, copies: bool | Bool[Array, " E"] = True) -> Float[Array, ""]:
     """Return the share of recent episodes that were not solved, in the copies that are marked."""
     successes, episodes = (x.sum(where=copies) for x in (frontier.successes, frontier.episodes))
-    return 1.0 - per_episode(successes, episodes)
+    return 1.0 - mean_of(successes, episodes)
 
 
 def rise(frontier: Frontier) -> Float[Array, ""]:
@@ -196,16 +174,9 @@ def rise(frontier: Frontier) -> Float[Array, ""]:
     return jnp.minimum(excess / LEAST_RISE, 1.0)
 
 
-def per_episode(
-    total: Float[Array, "*batch"], episodes: Float[Array, ""]
-) -> Float[Array, "*batch"]:
-    """Return the mean over episodes or parts of them, of which there may be none yet."""
-    return total / jnp.maximum(episodes, 1.0)
-
-
 def explore(
     frontier: Frontier, outcome: TimeStep, config: FrontierConfig
-) -> tuple[Frontier, Bool[Array, "T E 2 state bins"]]:
+) -> tuple[Frontier, Bool[Array, "T E 2 state bins"], Bool[Array, "T E"]]:
     """Count the parts of episodes that reach each bin, the solved episodes, and rewards.
 
     The first step of an episode reaches nothing: `outcome` does not hold the state that it is taken
@@ -217,14 +188,16 @@ def explore(
         config: all settings but the weight and the largest worth of the bonus.
 
     Returns:
-        The new state, and which bins each step reaches as the first of its part.
+        The new state, which bins each step reaches as the first of its part, and whether it ends
+        that part.
     """
     states = outcome.state
     frontier = widen(frontier, states.min((0, 1)), states.max((0, 1)))
     before = jnp.concatenate([frontier.before[None], states[:-1]])
     begins = jnp.concatenate([frontier.begins[None], outcome.done[:-1]])
     before = jnp.where(begins[..., None], states, before)
-    ends = find_bins(frontier, before), find_bins(frontier, states)
+    num_bins = frontier.reached.shape[-1]
+    ends = find_bins(frontier, before, num_bins), find_bins(frontier, states, num_bins)
     part_steps, part_ends = split_episodes(frontier.part_steps, outcome.done, config.period)
     visited, is_first = first_visits(frontier.visited, *ends, part_ends)
     keep = 1.0 - 1.0 / config.window
@@ -232,14 +205,13 @@ def explore(
     parts = frontier.parts * keep + part_ends.sum(0)
     episodes = frontier.episodes * keep + outcome.done.sum(0)
     returns = frontier.returns * keep + outcome.reward.sum()
-    best_return = jnp.maximum(frontier.best_return, per_episode(returns, episodes.sum()))
+    best_return = jnp.maximum(frontier.best_return, mean_of(returns, episodes.sum()))
     rate = jnp.where(best_return > 1, 1.0 / config.patience, 0.0) if config.patience else 0.0
-    share = jnp.minimum(per_episode(reached, parts.sum()), 1.0)
     frontier = frontier._replace(
         reached=reached,
         parts=parts,
         part_steps=part_steps,
-        mastered=jnp.maximum((1.0 - config.forgetting) * frontier.mastered, share),
+        mastered=largest_share(frontier.mastered, reached, parts.sum(), config.forgetting),
         visited=visited,
         before=states[-1],
         begins=outcome.done[-1],
@@ -249,7 +221,26 @@ def explore(
         best_return=best_return,
         usual_return=frontier.usual_return + rate * (best_return - frontier.usual_return),
     )
-    return frontier, is_first
+    return frontier, is_first, part_ends
+
+
+def explore_pairs(
+    frontier: Frontier,
+    states: Float[Array, "T E state"],
+    part_ends: Bool[Array, "T E"],
+    config: FrontierConfig,
+) -> tuple[Frontier, Float[Array, "T E"]]:
+    """Count pairs of features, and return what they pay, once the best return is above 1."""
+
+    def visit(pairs):
+        cells = find_cells(find_bins(frontier, states, BINS))
+        return visit_pairs(pairs, cells, part_ends, config)
+
+    def skip(pairs):
+        return pairs, jnp.zeros(part_ends.shape)
+
+    pairs, bonus = jax.lax.cond(frontier.best_return > 1, visit, skip, frontier.pairs)
+    return frontier._replace(pairs=pairs), bonus
 
 
 def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
@@ -260,11 +251,6 @@ def is_success(outcome: TimeStep) -> Bool[Array, "T E"]:
     if "success" in outcome.info:
         return outcome.done & (outcome.info["success"] > 0)
     return outcome.terminated & (outcome.reward > 0)
-
-
-def odds_against(share: Float[Array, "*bins"], largest: float) -> Float[Array, "*bins"]:
-    """Return 1 / p - 1 for a share p of parts, at most `largest`."""
-    return jnp.minimum(1.0 / jnp.maximum(share, 1e-9) - 1.0, largest)
 
 
 def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " state"]):
@@ -282,7 +268,7 @@ def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " 
     # Before the first rollout there is no range, and nothing to move.
     is_new = frontier.low > frontier.high
     middles = jnp.where(is_new, low, frontier.low + middle * (frontier.high - frontier.low))
-    moved = (slice(None), jnp.arange(low.size)[:, None], find_bins(wider, middles).T)
+    moved = (slice(None), jnp.arange(low.size)[:, None], find_bins(wider, middles, num_bins).T)
     empty = jnp.zeros_like(frontier.reached)
     return wider._replace(
         reached=empty.at[moved].max(frontier.reached),
@@ -291,9 +277,8 @@ def widen(frontier: Frontier, low: Float[Array, " state"], high: Float[Array, " 
 
 
 def find_bins(
-    frontier: Frontier, states: Float[Array, "*batch state"]
+    frontier: Frontier, states: Float[Array, "*batch state"], num_bins: int
 ) -> Int[Array, "*batch state"]:
-    """Return the bin of each feature."""
-    num_bins = frontier.reached.shape[-1]
+    """Return the bin of each feature, of `num_bins` between its extremes so far."""
     width = jnp.maximum(frontier.high - frontier.low, 1e-6)
     return jnp.clip((states - frontier.low) / width * num_bins, 0, num_bins - 1).astype(int)

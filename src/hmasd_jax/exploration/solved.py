@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from hmasd_jax.exploration.bonus import Bonus
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.greedy_copies import Settings, mark_greedy
 from hmasd_jax.validation import check_range, check_types
 

@@ -1,8 +1,8 @@
-"""Parts of episodes, and the bins that a part reaches for the first time."""
+"""Parts of episodes, what a part reaches for the first time, and what that is worth."""
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 
 def split_episodes(
@@ -47,3 +47,40 @@ def first_visits(
         return (visited | here) & ~ends[:, None, None, None], here & ~visited
 
     return jax.lax.scan(step, visited, (jnp.stack([rising, falling], 2), part_ends))
+
+
+def mean_of(total: Float[Array, "*batch"], count: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """Return the mean over episodes or parts of them, of which there may be none yet."""
+    return total / jnp.maximum(count, 1.0)
+
+
+def largest_share(
+    mastered: Float[Array, "*cells"],
+    reached: Float[Array, "*cells"],
+    parts: Float[Array, ""],
+    forgetting: float,
+) -> Float[Array, "*cells"]:
+    """Return the largest share of parts so far that reached each cell, less what is forgotten.
+
+    Args:
+        mastered: largest shares before the rollout.
+        reached: number of recent parts that reached each cell.
+        parts: number of recent parts.
+        forgetting: part of the largest share that is forgotten per rollout.
+    """
+    # Parts under way have reached cells, and do not count yet.
+    share = jnp.minimum(mean_of(reached, parts), 1.0)
+    return jnp.maximum((1.0 - forgetting) * mastered, share)
+
+
+def odds_against(share: Float[Array, "*cells"], largest: float) -> Float[Array, "*cells"]:
+    """Return 1 / p - 1 for a share p of parts, at most `largest`."""
+    return jnp.minimum(1.0 / jnp.maximum(share, 1e-9) - 1.0, largest)
+
+
+def pay(
+    is_first: Bool[Array, "*batch cells"], worth: Float[Array, "*#batch cells"]
+) -> Float[Array, "*batch"]:
+    """Return the worth of all cells that a step reaches first, over the root of their number."""
+    number = jnp.maximum(is_first.sum(-1), 1)
+    return jnp.where(is_first, worth, 0.0).sum(-1) / jnp.sqrt(number)

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from hmasd_jax.exploration.frontier import FrontierConfig
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig
 from hmasd_jax.exploration.solved import SolvedConfig, check_solved
 from hmasd_jax.exploration.successes import ImitationConfig

@@ -9,7 +9,8 @@ from jaxtyping import Array, Float
 
 from envs_jax import Environment, TimeStep
 from hmasd_jax.exploration.bonus import Bonus, add
-from hmasd_jax.exploration.frontier import FrontierConfig, make_frontier
+from hmasd_jax.exploration.frontier import make_frontier
+from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.novelty import NoveltyConfig, make_novelty
 from hmasd_jax.exploration.solved import SolvedConfig, check_solved
 from hmasd_jax.exploration.successes import Imitation, ImitationConfig, make_imitation
