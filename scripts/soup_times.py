@@ -3,7 +3,8 @@
 python scripts/soup_times.py RUN OUT
 
 OUT (JSON) gets one row per seed: for each seat of agent 0, the steps at which one greedy game
-earns its soups, the player that served each, and the number of soups taken from each pot.
+earns its soups, the player that served each, the number of soups taken from each pot, and the
+number of steps after which both players hold an onion.
 """
 
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from envs_jax.overcooked.rules import COOKING, NOTHING, POT, SOUP
+from envs_jax.overcooked.rules import COOKING, NOTHING, ONION, POT, SOUP
 from hmasd_jax.analysis.episodes import play
 from hmasd_jax.runs.load import load_run
 from scripts.records import record_seeds
@@ -37,6 +38,7 @@ def measure(run: Path, seed: int) -> dict[str, Any]:
             "served_at": steps.tolist(),
             "by_player": serves.argmax(1).tolist(),
             "from_pot": soups_from(states.grid[game]),
+            "two_onions": int((states.held[game] == ONION).all(1).sum()),
         }
     return {"seed": seed, "env_steps": trained.env_steps, **games}
 
