@@ -45,12 +45,14 @@ def test_a_cell_joins_the_bins_of_both_features():
 def test_a_part_comes_to_each_cell_for_the_first_time_once():
     cells = cells_of([(0, 0), (3, 0), (0, 0), (3, 0), (0, 3)])
     ends = jnp.array([[False], [False], [True], [False], [False]])
-    none = init_pairs(2, 1).visited
-    visited, is_first = first_cells(none, cells, ends)
+    none = init_pairs(2, 1)
+    visited, reached, is_first = first_cells(none.visited, none.reached, cells, ends)
     assert_array_equal(is_first[:, 0, 0], [True, True, False, True, True])
-    assert_array_equal(jnp.flatnonzero(visited[0, 0]), [3, 12])
-    _, is_first = first_cells(visited, cells, ends)
+    assert visited == 2**3 + 2**12
+    assert_array_equal(reached[0, [0, 3, 12]], [1, 1, 2])
+    _, reached, is_first = first_cells(visited, reached, cells, ends)
     assert_array_equal(is_first[:, 0, 0], [True, False, False, True, True])
+    assert_array_equal(reached[0, [0, 3, 12]], [2, 2, 3])
 
 
 def test_a_joint_value_is_paid_where_no_single_value_is_new():

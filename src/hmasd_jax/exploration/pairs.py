@@ -13,13 +13,13 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Bool, Float, Int, UInt32
 
 from hmasd_jax.exploration.frontier_config import FrontierConfig
 from hmasd_jax.exploration.visits import largest_share, odds_against, pay
 
 BINS = 4
-"""Bins per feature of a pair."""
+"""Bins per feature of a pair. `Pairs.visited` has room for at most 32 cells, and so for 5 bins."""
 
 MOST_PAIRS = 512
 """Most pairs that are counted. Of 33 features or more, these are drawn once and for all."""
@@ -34,18 +34,18 @@ class Pairs(NamedTuple):
     """Number of recent parts."""
     mastered: Float[Array, "P cells"]
     """Largest share of parts so far that came to each cell, less what is forgotten."""
-    visited: Bool[Array, "E P cells"]
-    """Cells that the part under way has come to."""
+    visited: UInt32[Array, "E P"]
+    """Cells that the part under way has come to, one bit each."""
 
 
 def init_pairs(state_dim: int, num_envs: int) -> Pairs:
     """Return pairs of `state_dim` features that were not visited yet."""
-    tables = (len(choose_pairs(state_dim)), BINS**2)
+    num_pairs = len(choose_pairs(state_dim))
     return Pairs(
-        reached=jnp.zeros(tables),
+        reached=jnp.zeros((num_pairs, BINS**2)),
         parts=jnp.float32(num_envs),
-        mastered=jnp.zeros(tables),
-        visited=jnp.zeros((num_envs, *tables), bool),
+        mastered=jnp.zeros((num_pairs, BINS**2)),
+        visited=jnp.zeros((num_envs, num_pairs), jnp.uint32),
     )
 
 
@@ -77,31 +77,39 @@ def visit_pairs(
         part_ends: whether each step ends a part.
         config: all settings but the weights.
     """
-    visited, is_first = first_cells(pairs.visited, cells, part_ends)
-    pair = jnp.arange(cells.shape[-1])
     keep = 1.0 - 1.0 / config.window
-    reached = (keep * pairs.reached).at[pair, cells].add(is_first)
-    parts = keep * pairs.parts + part_ends.sum()
+    reached, parts = keep * pairs.reached, keep * pairs.parts + part_ends.sum()
+    visited, reached, is_first = first_cells(pairs.visited, reached, cells, part_ends)
     mastered = largest_share(pairs.mastered, reached, parts, config.forgetting)
     worth = odds_against(mastered, config.largest_worth)
-    bonus = pay(is_first, worth[pair, cells])
+    bonus = pay(is_first, worth[jnp.arange(cells.shape[-1]), cells])
     return Pairs(reached=reached, parts=parts, mastered=mastered, visited=visited), bonus
 
 
 def first_cells(
-    visited: Bool[Array, "E P cells"], cells: Int[Array, "T E P"], part_ends: Bool[Array, "T E"]
-) -> tuple[Bool[Array, "E P cells"], Bool[Array, "T E P"]]:
-    """Return the cells that the parts under way have come to, and whether each step is the first.
+    visited: UInt32[Array, "E P"],
+    reached: Float[Array, "P cells"],
+    cells: Int[Array, "T E P"],
+    part_ends: Bool[Array, "T E"],
+) -> tuple[UInt32[Array, "E P"], Float[Array, "P cells"], Bool[Array, "T E P"]]:
+    """Find the steps that come to a cell as the first of their part, and count them.
 
     A step that begins a part comes to the cell that it ends in.
+
+    Returns:
+        Cells that the parts under way have come to, `reached` with the new visits, and whether each
+        step is the first of its part in its cell.
     """
-    copies, num_pairs = visited.shape[:2]
-    table = jnp.arange(copies)[:, None], jnp.arange(num_pairs)
+    pair = jnp.arange(cells.shape[-1])
 
-    def step(visited, x):
+    # Counting after the scan, in one scatter over all steps, takes several times as long.
+    def step(carry, x):
+        visited, reached = carry
         cells, ends = x
-        is_first = ~visited[*table, cells]
-        visited = visited.at[*table, cells].set(True)
-        return visited & ~ends[:, None, None], is_first
+        here = jnp.left_shift(jnp.uint32(1), cells.astype(jnp.uint32))
+        is_first = (visited & here) == 0
+        reached = reached.at[pair, cells].add(is_first)
+        return (jnp.where(ends[:, None], 0, visited | here), reached), is_first
 
-    return jax.lax.scan(step, visited, (cells, part_ends))
+    (visited, reached), is_first = jax.lax.scan(step, (visited, reached), (cells, part_ends))
+    return visited, reached, is_first
