@@ -65,6 +65,7 @@ def _compared(config: TrainConfig) -> dict[str, Any]:
         settings["env.state"] = settings["env.observation"]
     if settings.get("algorithm.frontier.period", 0) >= config.env.max_steps:
         settings["algorithm.frontier.period"] = 0  # No episode is that long.
-    if settings.get("algorithm.frontier.patience") and settings["env.name"] != "overcooked":
-        settings["algorithm.frontier.patience"] = 0  # No return is above 1.
+    for name in ("algorithm.frontier.patience", "algorithm.frontier.pair_coef"):
+        if settings.get(name) and settings["env.name"] != "overcooked":
+            settings[name] = 0  # No return is above 1.
     return settings

@@ -51,11 +51,14 @@ def test_a_bonus_that_pays_otherwise_than_todays_is_noticed():
 
 
 def test_settings_without_an_effect_are_no_differences():
-    """No battle of 3m is as long as a period, and none returns more than 1."""
+    """No battle of 3m is as long as a period, and none returns more than 1, which pairs await."""
     battle = _record("micro_battle/3m/hmasd_general_rarest")
-    assert not {"period", "patience"} & battle["config"]["algorithm"]["frontier"].keys()
+    assert (
+        not {"period", "patience", "pair_coef"} & battle["config"]["algorithm"]["frontier"].keys()
+    )
     assert changed_settings(battle) == {}
     kitchen = _record("overcooked/asymmetric_advantages/hmasd_general_by_agent")
     changed = changed_settings(kitchen)
     assert changed["algorithm.frontier.period"] == (0, 200)
     assert changed["algorithm.frontier.patience"] == (0, 100)
+    assert changed["algorithm.frontier.pair_coef"] == (0, 0.1)
