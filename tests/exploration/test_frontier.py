@@ -19,7 +19,6 @@ from hmasd_jax.exploration.frontier import (
     widen,
 )
 from hmasd_jax.exploration.frontier_config import FrontierConfig
-from hmasd_jax.exploration.visits import odds_against
 from tests.helpers.rollouts import outcome_of
 
 ENV = envs_jax.make("probe_match_cue")
@@ -114,11 +113,6 @@ def test_a_part_goes_on_in_the_next_rollout(empty):
     _, is_first, _ = explore(frontier, rest, in_parts)
     assert_array_equal(is_first[:, 0, FALLS, 0, 0], [True, False, True, False])
     assert_array_equal(is_first[:, 0, RISES, 0, 3], [False, True, False, False])
-
-
-def test_worth_falls_from_the_largest_to_nothing():
-    worth = odds_against(jnp.array([0.0, 1e-6, 0.1, 0.5, 1.0]), largest=20.0)
-    assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
 
 
 def test_a_feature_is_paid_for_all_its_values_over_the_root_of_their_number(bonus, empty):

@@ -1,10 +1,16 @@
-"""Parts of episodes, and the bins that a part reaches for the first time."""
+"""Parts of episodes, what a part reaches for the first time, and what that is worth."""
 
 import jax.numpy as jnp
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
-from hmasd_jax.exploration.visits import first_visits, split_episodes
+from hmasd_jax.exploration.visits import (
+    first_visits,
+    largest_share,
+    odds_against,
+    pay,
+    split_episodes,
+)
 
 RISES, FALLS = 0, 1
 
@@ -49,3 +55,20 @@ def test_a_step_reaches_where_it_ends_and_all_that_it_passes():
     falling = [[0, 0, 0, 0, 0], [0, 0, 0, 0, 0], [0, 1, 1, 0, 0], [0] * 5, [1, 0, 0, 0, 0]]
     assert_array_equal(is_first[:, RISES], rising)
     assert_array_equal(is_first[:, FALLS], falling)
+
+
+def test_worth_falls_from_the_largest_to_nothing():
+    worth = odds_against(jnp.array([0.0, 1e-6, 0.1, 0.5, 1.0]), largest=20.0)
+    assert_allclose(worth, [20.0, 20.0, 9.0, 1.0, 0.0], rtol=1e-5)
+
+
+def test_the_largest_share_is_forgotten_down_to_that_of_the_moment():
+    """Of four recent parts all, one and none came to the cells. One more is under way."""
+    before, reached = jnp.array([0.5, 0.5, 0.5]), jnp.array([5.0, 1.0, 0.0])
+    share = largest_share(before, reached, jnp.float32(4), forgetting=0.1)
+    assert_allclose(share, [1.0, 0.45, 0.45])
+
+
+def test_a_step_is_paid_its_cells_over_the_root_of_their_number():
+    is_first = jnp.array([[True, True, True, True], [False, True, False, False], [False] * 4])
+    assert_allclose(pay(is_first, jnp.array([1.0, 3.0, 5.0, 7.0])), [8.0, 3.0, 0.0])
