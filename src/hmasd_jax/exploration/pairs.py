@@ -6,6 +6,8 @@ larger projections of the state once the smaller ones are explored (Liu et al., 
 
 The values of two features fall into a cell of a table with a few bins a side. A part of an episode
 is paid when it comes to a cell for the first time, by how few parts do, as for single features.
+Bins follow the extremes of a feature so far. If these widen, its cells move, and their shares are
+those of the old ones until enough parts have been counted.
 """
 
 from typing import NamedTuple
