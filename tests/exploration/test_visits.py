@@ -63,7 +63,7 @@ def test_worth_falls_from_the_largest_to_nothing():
 
 
 def test_the_largest_share_is_forgotten_down_to_that_of_the_moment():
-    """Of four recent parts all, one and none came to the cells. One more is under way."""
+    """Four parts ended, and one is under way. All, one and none of them came to the cells."""
     before, reached = jnp.array([0.5, 0.5, 0.5]), jnp.array([5.0, 1.0, 0.0])
     share = largest_share(before, reached, jnp.float32(4), forgetting=0.1)
     assert_allclose(share, [1.0, 0.45, 0.45])
