@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hmasd_jax.exploration.frontier import Frontier
-from hmasd_jax.exploration.visits import mean_of
+from hmasd_jax.exploration.visits import recent_share
 from hmasd_jax.runs import folder as run_folder
 from hmasd_jax.runs.load import load_run
 from scripts.records import describe_script, write_rows
@@ -25,8 +25,7 @@ def list_shares(frontier: Frontier, feature: int) -> list[dict[str, float | str]
     """Return a row per direction and bin of one feature of the state."""
     num_bins = frontier.reached.shape[-1]
     ends = np.linspace(float(frontier.low[feature]), float(frontier.high[feature]), num_bins + 1)
-    # Parts under way have reached bins, and do not count yet.
-    recent = np.minimum(mean_of(frontier.reached[:, feature], frontier.parts.sum()), 1.0)
+    recent = recent_share(frontier.reached[:, feature], frontier.parts.sum())
     largest = np.asarray(frontier.mastered[:, feature])
     return [
         {

@@ -54,6 +54,14 @@ def mean_of(total: Float[Array, "*batch"], count: Float[Array, ""]) -> Float[Arr
     return total / jnp.maximum(count, 1.0)
 
 
+def recent_share(
+    reached: Float[Array, "*cells"], parts: Float[Array, ""]
+) -> Float[Array, "*cells"]:
+    """Return the share of recent parts that reached each cell."""
+    # Parts under way have reached cells, and do not count yet.
+    return jnp.minimum(mean_of(reached, parts), 1.0)
+
+
 def largest_share(
     mastered: Float[Array, "*cells"],
     reached: Float[Array, "*cells"],
@@ -68,9 +76,7 @@ def largest_share(
         parts: number of recent parts.
         forgetting: part of the largest share that is forgotten per rollout.
     """
-    # Parts under way have reached cells, and do not count yet.
-    share = jnp.minimum(mean_of(reached, parts), 1.0)
-    return jnp.maximum((1.0 - forgetting) * mastered, share)
+    return jnp.maximum((1.0 - forgetting) * mastered, recent_share(reached, parts))
 
 
 def odds_against(share: Float[Array, "*cells"], largest: float) -> Float[Array, "*cells"]:
